@@ -1,0 +1,109 @@
+"""Block: cameras, images, object points, observations and weights as one value for every task."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from .cameras import Interior
+from .errors import BadProject
+
+ROLES = ("control", "check", "tie")
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Onboard GPS/IMU or an approximate value: centre (3,) m, angles (3,) rad (omega, phi, kappa); None where unknown."""
+
+    centre: np.ndarray | None = None
+    angles: np.ndarray | None = None
+    sigma_m: np.ndarray | None = None
+    sigma_rad: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Image:
+    """One photo: its name, its camera's name, its file (None when there are measurements only) and its prior."""
+
+    name: str
+    camera: str
+    file: str | None = None
+    prior: Prior | None = None
+
+
+@dataclass(frozen=True)
+class Points:
+    """Object points as rows: xyz (n, 3) m, sigma (n, 3) m, both NaN where unknown; role control, check or tie."""
+
+    names: tuple[str, ...]
+    xyz: np.ndarray
+    sigma: np.ndarray
+    role: tuple[str, ...]
+    group: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Image observations as rows: image and point are indices (m,); pixel (m, 2) col, row; sigma (m,) px."""
+
+    image: np.ndarray
+    point: np.ndarray
+    pixel: np.ndarray
+    sigma: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.image)
+
+
+@dataclass(frozen=True)
+class Block:
+    """All that an adjustment starts from. Coordinates are as the project gives them (crs, metres)."""
+
+    name: str
+    crs: str
+    cameras: Mapping[str, Interior]
+    images: tuple[Image, ...]
+    points: Points
+    observations: Observations
+    image_px: float = 0.5
+    control_m: tuple[float, float, float] = (0.02, 0.02, 0.04)
+    frame: str = "tangent"  # "grid" takes map coordinates as Cartesian, to repeat a published grid solution
+    surface: Mapping[str, Any] = field(default_factory=dict)
+
+    def image_index(self, name: str) -> int:
+        """Position of an image. Raises BadProject naming those there are."""
+        return _index([i.name for i in self.images], name, "image", self.name)
+
+    def point_index(self, name: str) -> int:
+        """Position of an object point. Raises BadProject."""
+        return _index(self.points.names, name, "point", self.name)
+
+    def camera_of(self, image: str) -> Interior:
+        """Interior orientation of an image."""
+        return self.cameras[self.images[self.image_index(image)].camera]
+
+    def seen_in(self, image: str, roles: Sequence[str] = ROLES) -> np.ndarray:
+        """Rows of `observations` that lie in an image, for points of the given roles, in file order."""
+        of = self.observations
+        rows = np.flatnonzero(of.image == self.image_index(image))
+        return np.array([r for r in rows if self.points.role[of.point[r]] in roles], int)
+
+    def with_role(self, point: str, role: str) -> Block:
+        """A block in which one point has another role."""
+        j = self.point_index(point)
+        roles = (*self.points.role[:j], role, *self.points.role[j + 1:])
+        return replace(self, points=replace(self.points, role=roles))
+
+
+def _index(names: Sequence[str], name: str, what: str, where: str) -> int:
+    try:
+        return list(names).index(name)
+    except ValueError:
+        shown = ", ".join(list(names)[:8]) + (" ..." if len(names) > 8 else "")
+        raise BadProject(f"{where}: there is no {what} '{name}'; choose one of {shown}") from None

@@ -1,0 +1,97 @@
+"""Interior orientation: one frozen value, and the way between pixels and the photo frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..errors import BadProject
+from .distortion import TERMS, correct, distort
+
+PARAMETERS = ("c", "xp", "yp", *TERMS)
+"""The ten parameters (plus b1, b2) in their order everywhere; mm and powers of mm, see `distortion.TERMS`."""
+
+
+@dataclass(frozen=True)
+class Interior:
+    """Interior orientation of a camera.
+
+    c: principal distance [mm], > 0. xp, yp: principal point in the photo frame [mm] (origin at the format centre,
+    x right, y up). k1..b2: ten-parameter correction, measured -> ideal, see `distortion`.
+    pixel_mm: pixel pitch [mm], one number or (x, y). width, height: format [px].
+    Raises BadProject when c, the pitch or the format is not positive and finite.
+    """
+
+    c: float
+    xp: float = 0.0
+    yp: float = 0.0
+    k1: float = 0.0
+    k2: float = 0.0
+    k3: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    b1: float = 0.0
+    b2: float = 0.0
+    pixel_mm: float | tuple[float, float] = field(kw_only=True)
+    width: int = field(kw_only=True)
+    height: int = field(kw_only=True)
+
+    def __post_init__(self) -> None:
+        pitch = tuple(float(p) for p in np.atleast_1d(np.asarray(self.pixel_mm, float)))
+        pitch = pitch * 2 if len(pitch) == 1 else pitch
+        object.__setattr__(self, "pixel_mm", pitch)
+        if len(pitch) != 2 or not all(np.isfinite(p) and p > 0 for p in pitch):
+            raise BadProject(f"pixel_mm is {self.pixel_mm}, expected one or two positive numbers in mm")
+        if not (np.isfinite(self.c) and self.c > 0):
+            raise BadProject(f"principal distance c is {self.c} mm, expected a positive number")
+        if self.width < 1 or self.height < 1:
+            raise BadProject(f"image format is {self.width} x {self.height} px, expected positive numbers of pixels")
+        if not np.all(np.isfinite(self.parameters)):
+            raise BadProject("an interior orientation parameter is not a finite number")
+
+    @property
+    def pitch(self) -> np.ndarray:
+        """(2,) pixel pitch in x and y, mm."""
+        return np.broadcast_to(np.asarray(self.pixel_mm, float), (2,))
+
+    @property
+    def parameters(self) -> np.ndarray:
+        """(10,) c, xp, yp, k1, k2, k3, p1, p2, b1, b2."""
+        return np.array([getattr(self, name) for name in PARAMETERS], float)
+
+    @property
+    def coefficients(self) -> np.ndarray:
+        """(7,) k1, k2, k3, p1, p2, b1, b2."""
+        return self.parameters[3:]
+
+    @property
+    def principal_point(self) -> np.ndarray:
+        """(2,) mm, photo frame."""
+        return np.array([self.xp, self.yp])
+
+    def photo(self, pixels: np.ndarray) -> np.ndarray:
+        """Photo coordinates (..., 2) mm of pixels (..., 2) (col, row), (0, 0) = centre of the top-left pixel."""
+        px, py = self.pitch
+        p = np.asarray(pixels, float)
+        return np.stack([(p[..., 0] - (self.width - 1) / 2) * px, -(p[..., 1] - (self.height - 1) / 2) * py], -1)
+
+    def pixels(self, photo: np.ndarray) -> np.ndarray:
+        """Pixels (..., 2) of photo coordinates (..., 2) mm: the inverse of `photo`."""
+        px, py = self.pitch
+        q = np.asarray(photo, float)
+        return np.stack([q[..., 0] / px + (self.width - 1) / 2, -q[..., 1] / py + (self.height - 1) / 2], -1)
+
+    def ideal(self, pixels: np.ndarray) -> np.ndarray:
+        """Ideal coordinates (..., 2) mm: pixels corrected for distortion and reduced to the principal point."""
+        return correct(self.coefficients, self.photo(pixels) - self.principal_point)
+
+    def measured(self, ideal: np.ndarray) -> np.ndarray:
+        """Pixels (..., 2) at which ideal coordinates (..., 2) mm appear: the inverse of `ideal` (NaN where there is none)."""
+        return self.pixels(distort(self.coefficients, np.asarray(ideal, float)) + self.principal_point)
+
+    def inside(self, pixels: np.ndarray, margin: float = 0.0) -> np.ndarray:
+        """(...,) whether pixels lie on the format, pixel edges included, with a margin in pixels."""
+        p = np.asarray(pixels, float)
+        low, high = -0.5 - margin, np.array([self.width, self.height]) - 0.5 + margin
+        return np.all((p >= low) & (p <= high), axis=-1)

@@ -1,0 +1,81 @@
+"""The local metric frame of a block: map coordinates are not Cartesian, adjustments are.
+
+With a projected crs, points go map -> geocentric -> the tangent plane at the block origin, turned to grid north, so that
+omega, phi, kappa refer to the grid axes there. With crs "local", or frame "grid", only the origin is subtracted.
+Heights are taken as they come (ellipsoidal, or levelled with a constant undulation over the block).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..errors import BadProject
+
+
+@dataclass(frozen=True)
+class LocalFrame:
+    """Right-handed metric frame with its origin (3,) at a round map position; `crs` "local" means Cartesian already."""
+
+    origin: np.ndarray
+    crs: str = "local"
+
+    @classmethod
+    def around(cls, xyz: np.ndarray, crs: str = "local", frame: str = "tangent") -> LocalFrame:
+        """The frame at the rounded centroid of known points (n, 3), NaN rows ignored."""
+        known = np.asarray(xyz, float)[np.isfinite(xyz).all(axis=1)]
+        origin = np.round(known.mean(axis=0)) if len(known) else np.zeros(3)
+        return cls(origin, "local" if frame == "grid" else crs)
+
+    @property
+    def cartesian(self) -> bool:
+        return self.crs == "local"
+
+    @cached_property
+    def _to_geocentric(self) -> Any:
+        from pyproj import CRS, Transformer
+        from pyproj.exceptions import CRSError
+
+        try:
+            crs = CRS.from_user_input(self.crs)
+        except CRSError:
+            raise BadProject(f"crs '{self.crs}' is not known; write \"local\" or an EPSG code such as \"EPSG:32632\"") from None
+        if crs.is_compound:
+            crs = crs.sub_crs_list[0]
+        if not crs.is_projected:
+            raise BadProject(f"crs '{self.crs}' is not a map projection in metres; use the UTM zone or national grid of the site")
+        if any(abs(axis.unit_conversion_factor - 1) > 1e-12 for axis in crs.axis_info[:2]):
+            raise BadProject(f"crs '{self.crs}' is not in metres; convert the coordinates to a metric crs first")
+        return Transformer.from_crs(crs.to_3d(), "EPSG:4978", always_xy=True)
+
+    @cached_property
+    def _tangent(self) -> tuple[np.ndarray, np.ndarray]:
+        """Geocentric origin (3,) and axes (3, 3): rows are grid east, grid north and up."""
+        at = np.array(self._to_geocentric.transform(*self.origin))
+        higher, east = self.origin + [0, 0, 1.0], self.origin + [1.0, 0, 0]
+        up = np.array(self._to_geocentric.transform(*higher)) - at
+        up /= np.linalg.norm(up)
+        x = np.array(self._to_geocentric.transform(*east)) - at
+        x -= up * (x @ up)
+        x /= np.linalg.norm(x)
+        return at, np.stack([x, np.cross(up, x), up])
+
+    def to_local(self, xyz: np.ndarray) -> np.ndarray:
+        """Local coordinates (..., 3) m of map coordinates (..., 3) m."""
+        xyz = np.asarray(xyz, float)
+        if self.cartesian:
+            return xyz - self.origin
+        at, axes = self._tangent
+        return (np.stack(self._to_geocentric.transform(xyz[..., 0], xyz[..., 1], xyz[..., 2]), -1) - at) @ axes.T
+
+    def to_map(self, local: np.ndarray) -> np.ndarray:
+        """Map coordinates (..., 3) m of local coordinates (..., 3) m: the inverse of `to_local`."""
+        local = np.asarray(local, float)
+        if self.cartesian:
+            return local + self.origin
+        at, axes = self._tangent
+        g = local @ axes + at
+        return np.stack(self._to_geocentric.transform(g[..., 0], g[..., 1], g[..., 2], direction="INVERSE"), -1)

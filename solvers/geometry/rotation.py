@@ -1,0 +1,81 @@
+"""Rotations of the field: M = M_kappa M_phi M_omega turns object axes into photo axes.
+
+Inside, a rotation is the 3x3 matrix M and its tangent is the left rotation vector d: M <- exp([d]x) M, which has no
+singular attitude; omega, phi, kappa are only for people. Reference: FORMULAS section 2.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def rotation(omega: float, phi: float, kappa: float) -> np.ndarray:
+    """M (3, 3) of omega, phi, kappa [rad]."""
+    so, co, sp, cp, sk, ck = np.sin(omega), np.cos(omega), np.sin(phi), np.cos(phi), np.sin(kappa), np.cos(kappa)
+    return np.array([
+        [cp * ck, so * sp * ck + co * sk, -co * sp * ck + so * sk],
+        [-cp * sk, -so * sp * sk + co * ck, co * sp * sk + so * ck],
+        [sp, -so * cp, co * cp],
+    ])
+
+
+def angles(m: np.ndarray) -> np.ndarray:
+    """(3,) omega, phi, kappa [rad] of M; kappa is set to 0 where phi is +-90 degrees and omega and kappa fall together."""
+    horizontal = np.hypot(m[2, 1], m[2, 2])
+    phi = np.arctan2(m[2, 0], horizontal)  # atan2 keeps the digits that asin loses near +-90 degrees
+    if horizontal < 1e-12:
+        return np.array([np.arctan2(m[1, 2], m[1, 1]), phi, 0.0])
+    return np.array([np.arctan2(-m[2, 1], m[2, 2]), phi, np.arctan2(-m[1, 0], m[0, 0])])
+
+
+def skew(v: np.ndarray) -> np.ndarray:
+    """[v]x (..., 3, 3) of v (..., 3): skew(v) w = v x w."""
+    v = np.asarray(v, float)
+    out = np.zeros((*v.shape, 3))
+    out[..., 0, 1], out[..., 0, 2] = -v[..., 2], v[..., 1]
+    out[..., 1, 0], out[..., 1, 2] = v[..., 2], -v[..., 0]
+    out[..., 2, 0], out[..., 2, 1] = -v[..., 1], v[..., 0]
+    return out
+
+
+def exp(d: np.ndarray) -> np.ndarray:
+    """Rotation (3, 3) of the rotation vector d (3,) [rad] (Rodrigues)."""
+    theta2 = float(np.dot(d, d))
+    k = skew(d)
+    if theta2 < 1e-10:
+        a, b = 1 - theta2 / 6, 0.5 - theta2 / 24
+    else:
+        theta = np.sqrt(theta2)
+        a, b = np.sin(theta) / theta, (1 - np.cos(theta)) / theta2
+    return np.eye(3) + a * k + b * (k @ k)
+
+
+def log(m: np.ndarray) -> np.ndarray:
+    """Rotation vector (3,) [rad], length at most pi, of a rotation (3, 3)."""
+    vee = np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]]) / 2
+    s, c = np.linalg.norm(vee), (np.trace(m) - 1) / 2
+    theta = np.arctan2(s, c)
+    if s > 1e-6:
+        return vee * (theta / s)
+    if c > 0:
+        return vee
+    axis2 = np.clip((np.diag(m) + 1) / 2, 0, None)  # theta near pi: the axis is the largest column of (M + I) / 2
+    j = int(np.argmax(axis2))
+    axis = (m[:, j] + np.eye(3)[j]) / 2 / np.sqrt(axis2[j])
+    axis = axis / np.linalg.norm(axis)
+    return theta * (axis if np.dot(axis, vee) >= 0 else -axis)
+
+
+def closest_rotation(a: np.ndarray) -> np.ndarray:
+    """The rotation (3, 3) closest to a (3, 3) in the Frobenius norm, determinant +1 (SVD)."""
+    u, _, vt = np.linalg.svd(a)
+    return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+
+
+def angle_derivatives(m: np.ndarray) -> np.ndarray:
+    """d(omega, phi, kappa) / d(left rotation vector), (3, 3); large, as it must be, near phi = +-90 degrees."""
+    omega, phi, kappa = angles(m)
+    sk, ck, sp, cp = np.sin(kappa), np.cos(kappa), np.sin(phi), np.cos(phi)
+    # columns: left rotation vectors of unit rates of omega, phi, kappa
+    rates = np.array([[-cp * ck, -sk, 0.0], [cp * sk, -ck, 0.0], [-sp, 0.0, -1.0]])
+    return np.linalg.pinv(rates, rcond=1e-9)
