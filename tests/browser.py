@@ -1,0 +1,290 @@
+"""Drive a viser or rerun page in a real headless Chromium: waits on state, never on time; nothing but loopback resolves.
+
+    with viser_page(server.get_port()) as v:
+        v.wait_nodes("/images/DSC1/perspective/camera")
+        v.click_button("Solve")
+        v.screenshot("out.png")
+
+`ViserPage` leans on viser's own test hooks (window.__viser*), which are not API: viser is pinned for that reason.
+"""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import io
+import os
+import re
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from playwright.sync_api import Locator, Page, sync_playwright
+
+FLAGS = (
+    "--headless=new",
+    "--no-sandbox",  # containers have no user namespaces
+    # WebGL 2 on the CPU takes all of these three
+    "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist",
+    # a page in the background keeps its timers and frames
+    "--disable-background-timer-throttling", "--disable-backgrounding-occluded-windows", "--disable-renderer-backgrounding",
+    # no traffic of the browser's own
+    "--disable-quic", "--disable-background-networking", "--disable-component-update", "--disable-default-apps",
+    "--disable-domain-reliability", "--disable-client-side-phishing-detection", "--disable-sync", "--no-first-run",
+    "--no-default-browser-check", "--mute-audio",
+    # a page that needs the internet shows itself
+    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1, EXCLUDE localhost",
+)
+LOCAL = re.compile(r"^(data:|blob:|about:|file:|(https?|wss?)://(127\.0\.0\.1|localhost)[:/])")
+REFUSED = re.compile(r"'((?:https?|wss?)://[^']+)'.*Content Security Policy")
+
+
+def find_chromium() -> str | None:
+    """The machine's Chromium, None where there is none."""
+    return next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+
+def require_chromium() -> str:
+    """The machine's Chromium. Without one the test is skipped, but fails where CI=true."""
+    found = find_chromium()
+    if found is None:
+        why = "no Chromium on this machine (apt install chromium)"
+        if os.environ.get("CI", "").lower() == "true":
+            pytest.fail(why)
+        pytest.skip(why)
+    return found
+
+
+@dataclass
+class Log:
+    """What the page said and asked for: console (type, text), script errors, requested and answered addresses."""
+
+    console: list[tuple[str, str]] = field(default_factory=list)
+    errors: list[str] = field(default_factory=list)
+    requests: list[str] = field(default_factory=list)
+    answered: list[str] = field(default_factory=list)
+    frames_received: int = 0
+    bytes_received: int = 0
+
+    @property
+    def external(self) -> list[str]:
+        """Requests that left the page for another machine (the resolver rules let none arrive)."""
+        return [url for url in self.requests if not LOCAL.match(url)]
+
+    @property
+    def refused(self) -> list[str]:
+        """Addresses the page's Content-Security-Policy refused before any request was made."""
+        return sorted({m[1] for _, text in self.console if (m := REFUSED.search(text)) and not LOCAL.match(m[1])})
+
+    def listen(self, page: Page) -> None:
+        page.on("console", lambda m: self.console.append((m.type, m.text)))
+        page.on("pageerror", lambda e: self.errors.append(str(e)))
+        page.on("request", lambda r: self.requests.append(r.url))
+        page.on("response", lambda r: self.answered.append(r.url))
+        page.on("websocket", self._socket)
+
+    def _socket(self, socket: Any) -> None:
+        self.requests.append(socket.url)
+        socket.on("framereceived", self._received)
+
+    def _received(self, payload: bytes | str) -> None:
+        self.frames_received += 1
+        self.bytes_received += len(payload)
+
+
+@contextlib.contextmanager
+def chromium_page(url: str, *, size: tuple[int, int] = (1280, 800), flags: tuple[str, ...] = ()) -> Iterator[tuple[Page, Log]]:
+    """A page in a fresh, empty profile, `size` in CSS pixels; everything is closed at the end."""
+    program = require_chromium()
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=program, headless=True, args=[*FLAGS, *flags])
+        try:
+            page = browser.new_context(viewport={"width": size[0], "height": size[1]}, device_scale_factor=1,
+                                       accept_downloads=True, reduced_motion="reduce").new_page()
+            log = Log()
+            log.listen(page)
+            page.goto(url)
+            yield page, log
+        finally:
+            browser.close()
+
+
+@contextlib.contextmanager
+def viser_page(port: int, *, query: str = "fixedDpr=1", size: tuple[int, int] = (1280, 800)) -> Iterator[ViserPage]:
+    """viser's page, connected. fixedDpr=1 turns off the adaptive resolution, which drops on a slow renderer."""
+    with chromium_page(f"http://127.0.0.1:{port}/?{query}", size=size) as (page, log):
+        viser = ViserPage(page, log)
+        viser.wait_connected()
+        yield viser
+
+
+def wait_until(page: Page, predicate: Callable[[], Any], what: str, timeout: float = 10.0) -> None:
+    """Wait [s] for the Python side. Playwright must be pumped meanwhile, so never sleep in a loop."""
+    deadline = time.monotonic() + timeout
+    while not predicate():
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"waited {timeout} s for {what}")
+        page.wait_for_timeout(10)
+
+
+def ink(image: Image.Image, background: tuple[int, int, int] = (255, 255, 255)) -> float:
+    """Share of the pixels that differ from the background, which shines through a canvas: proof that something was drawn."""
+    over = Image.alpha_composite(Image.new("RGBA", image.size, (*background, 255)), image.convert("RGBA"))
+    difference = np.abs(np.asarray(over.convert("RGB"), np.int16) - np.array(background, np.int16))
+    return float((difference.sum(axis=2) > 24).mean())
+
+
+class ViserPage:
+    """A viser page: its scene, its camera and its panels. Times are seconds, positions viser's world coordinates."""
+
+    def __init__(self, page: Page, log: Log) -> None:
+        self.page = page
+        self.log = log
+
+    # -- waits
+
+    def wait_connected(self, timeout: float = 60.0) -> None:
+        self.page.wait_for_function("() => window.__viserMutable && window.__viserSceneTree && window.__viserTestpoints"
+                                    " && window.__viserMutable.canvas && window.__viserMutable.camera", timeout=timeout * 1000)
+
+    def wait_nodes(self, *names: str, timeout: float = 60.0) -> None:
+        """Until the nodes are in the scene tree and mounted in three.js (labels never are)."""
+        self.page.wait_for_function(
+            """names => { const tree = window.__viserSceneTree?.getState?.(), nodes = window.__viserMutable?.nodeRefFromName;
+                return tree && nodes && names.every(n => n in tree && nodes[n]); }""", arg=list(names), timeout=timeout * 1000)
+
+    def wait_frames(self, n: int = 2, timeout: float = 60.0) -> None:
+        """Until n more frames were drawn; drawing is on demand, so one is asked for."""
+        start = self.page.evaluate("() => window.__viserTestpoints.rendererInfo.render.frame")
+        self.page.evaluate("() => window.__viserMutable.requestRender()")
+        self.page.wait_for_function("t => window.__viserTestpoints.rendererInfo.render.frame >= t", arg=start + n,
+                                    timeout=timeout * 1000)
+
+    def wait_still(self, tolerance: float = 0.0, timeout: float = 30.0) -> Image.Image:
+        """The canvas once two pictures in a row agree: textures decoded, camera at rest."""
+        deadline = time.monotonic() + timeout
+        last = self.canvas()
+        while time.monotonic() < deadline:
+            self.wait_frames(2)
+            now = self.canvas()
+            if now.size == last.size and np.abs(np.asarray(now, np.int16) - np.asarray(last, np.int16)).mean() <= tolerance:
+                return now
+            last = now
+        raise TimeoutError("the canvas never came to rest")
+
+    def wait_until(self, predicate: Callable[[], Any], what: str, timeout: float = 10.0) -> None:
+        wait_until(self.page, predicate, what, timeout)
+
+    # -- pictures
+
+    def dismiss_notifications(self) -> None:
+        """Close what lies over the canvas, such as viser's notice about software rendering."""
+        close = self.page.locator("[role=alert] button")
+        with contextlib.suppress(Exception):  # there may be none
+            close.first.wait_for(timeout=3000)
+        for _ in range(10):
+            if close.count() == 0:
+                return
+            with contextlib.suppress(Exception):  # it may leave by itself
+                close.first.click(timeout=1000)
+            self.page.wait_for_timeout(350)  # it fades
+
+    def screenshot(self, path: str | Path | None = None) -> Image.Image:
+        return Image.open(io.BytesIO(self.page.screenshot(path=path))).convert("RGB")
+
+    def canvas(self) -> Image.Image:
+        """The WebGL canvas alone (RGBA), without the panels over it."""
+        url = self.page.evaluate("() => window.__viserMutable.canvas.toDataURL('image/png')")
+        return Image.open(io.BytesIO(base64.b64decode(url.split(",", 1)[1]))).convert("RGBA")
+
+    # -- scene
+
+    def project(self, point: Any) -> tuple[float, float]:
+        """CSS pixels of the page at which a world point is drawn."""
+        x, y = self.page.evaluate(
+            """p => { const m = window.__viserMutable, cam = m.camera, root = m.nodeRefFromName[''];
+                cam.updateMatrixWorld();
+                const world = root ? root.matrixWorld.clone() : cam.matrixWorld.clone().identity();
+                const v = cam.position.clone().set(p[0], p[1], p[2]).applyMatrix4(world).project(cam);
+                const box = m.canvas.getBoundingClientRect();
+                return [box.left + (v.x + 1) / 2 * box.width, box.top + (1 - v.y) / 2 * box.height]; }""",
+            [float(c) for c in point])
+        return x, y
+
+    def pose(self, name: str) -> dict[str, Any] | None:
+        """wxyz and position of a node relative to its parent, as the browser holds them."""
+        return self.page.evaluate("n => { const p = window.__viserMutable.nodePoseData[n];"
+                                  " return p ? {wxyz: p.wxyz, position: p.position} : null; }", name)
+
+    def visible(self, name: str) -> bool | None:
+        """The node's own visibility flag, None where there is no such node."""
+        return self.page.evaluate("n => window.__viserSceneTree.getState()[n]?.visibility ?? null", name)
+
+    def click_world(self, point: Any) -> None:
+        """Click where a world point is drawn; the frame between is the one in which hovering is ray-cast."""
+        self.click_at(*self.project(point))
+
+    def click_at(self, x: float, y: float) -> None:
+        self.page.mouse.move(x - 2, y - 2)
+        self.page.mouse.move(x, y)
+        self.wait_frames(1)
+        self.page.mouse.down()
+        self.page.mouse.up()
+
+    # -- panels
+
+    def row(self, label: str) -> Locator:
+        """The row of a labelled input: viser's sliders and text boxes carry no accessible name."""
+        exact = re.compile(rf"^\s*{re.escape(label)}\s*$")
+        return self.page.locator("label", has_text=exact).first.locator("xpath=ancestor::div[2]")
+
+    def click_button(self, name: str) -> None:
+        self.page.get_by_role("button", name=name, exact=True).click()
+
+    def open_tab(self, name: str) -> None:
+        self.page.get_by_role("tab", name=name, exact=True).click()
+
+    def set_slider(self, label: str, value: float) -> None:
+        """Exactly, through the number box beside the slider."""
+        self._type(self.row(label).get_by_role("textbox"), f"{value:g}")
+
+    def nudge_slider(self, label: str, key: str, times: int = 1) -> None:
+        """As a person with a keyboard: Home, End, ArrowLeft, ArrowRight."""
+        thumb = self.row(label).get_by_role("slider")
+        thumb.focus()
+        for _ in range(times):
+            thumb.press(key)
+
+    def set_number(self, label: str, value: float) -> None:
+        self._type(self.page.get_by_label(label, exact=True), f"{value:g}")
+
+    def set_text(self, label: str, text: str) -> None:
+        self._type(self.row(label).get_by_role("textbox"), text)
+
+    def set_checkbox(self, label: str, on: bool) -> None:
+        self.page.get_by_label(label, exact=True).set_checked(on)
+
+    def choose(self, label: str, option: str) -> None:
+        self.page.get_by_label(label, exact=True).click()
+        self.page.get_by_role("option", name=option, exact=True).click()
+
+    def upload(self, button: str, path: str | Path) -> None:
+        with self.page.expect_file_chooser() as chooser:
+            self.click_button(button)
+        chooser.value.set_files(path)
+
+    def hotkey(self, key: str) -> None:
+        """A key for the page; viser ignores keys while a form field has the focus."""
+        self.page.evaluate("() => document.activeElement?.blur()")
+        self.page.keyboard.press(key)
+
+    @staticmethod
+    def _type(box: Locator, text: str) -> None:
+        box.fill(text)
+        box.press("Enter")
