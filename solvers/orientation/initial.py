@@ -1,0 +1,286 @@
+"""Initial values without any approximate value: every candidate attitude the control allows, refined and ranked.
+
+Reference: FORMULAS section 4; Grunert 1841 and Haralick et al. 1994 (three points); DeMenthon & Davis 1995 (POSIT).
+All functions take points (n, 3) m reduced to their centroid and ideal photo coordinates xy (n, 2) in the unit of c.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..geometry import Exterior, closest_rotation, skew
+
+
+def recentring(xy: np.ndarray, c: float) -> np.ndarray:
+    """R_v (3, 3): turns the photo so that the mean ray becomes the optical axis of a virtual camera (FORMULAS 3.2)."""
+    rays = _rays(xy, c)
+    mean = rays.mean(axis=0)
+    z = -mean / np.linalg.norm(mean)
+    axis = np.cross(z, [0.0, 0.0, 1.0])  # the smallest turn that brings z to (0, 0, 1)
+    k = skew(axis)
+    return np.eye(3) + k + k @ k / (1 + z[2])
+
+
+def turned(xy: np.ndarray, c: float, r: np.ndarray) -> np.ndarray:
+    """Photo coordinates (n, 2) in a camera turned by r (3, 3), same centre and principal distance."""
+    v = np.concatenate([xy, np.full((len(xy), 1), -c)], axis=1) @ r.T
+    return -c * v[:, :2] / v[:, 2:]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A local minimum, the start that first led to it and how that start was found; cost in the unit of c squared."""
+
+    exterior: Exterior
+    start: Exterior
+    source: str
+    cost: float
+
+
+def candidates(points: np.ndarray, xy: np.ndarray, c: float) -> list[Candidate]:
+    """All distinct local minima found from every start of FORMULAS section 4, best first; empty when none is in front.
+
+    Attitudes closer than a hundredth of a degree count as one.
+    """
+    found = starts(points, xy, c)
+    refined, cost = refine(points, xy, c, [e for _, e in found])
+    out: list[Candidate] = []
+    for i in np.argsort(cost, kind="stable"):
+        if np.isfinite(cost[i]) and all(apart(refined[i], other.exterior) > np.radians(0.01) for other in out):
+            first = next(k for k in range(len(found)) if np.isfinite(cost[k]) and apart(refined[k], refined[i]) <= np.radians(0.01))
+            out.append(Candidate(refined[i], found[first][1], found[first][0], float(cost[i])))
+    return out
+
+
+def starts(points: np.ndarray, xy: np.ndarray, c: float) -> list[tuple[str, Exterior]]:
+    """Every start, the crudest first, with its name: parallel projection, three points, DLT, homography."""
+    r_v = recentring(xy, c)
+    out = [("parallel projection", Exterior(r_v.T @ e.m, e.centre)) for e in scaled_orthography(points, turned(xy, c, r_v), c)]
+    out += [("three points", e) for rows in _wide_triples(points) for e in three_points(points[rows], xy[rows], c)]
+    s = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if len(points) >= 6 and s[2] > 1e-3 * s[0]:
+        out += [("direct linear transformation", e) for e in direct_linear(points, xy, c)]
+    if len(points) >= 4 and s[2] < 0.1 * s[0]:
+        out += [("plane homography", e) for e in plane_homography(points, xy, c)]
+    return out
+
+
+def scaled_orthography(points: np.ndarray, xy: np.ndarray, c: float, updates: int = 2) -> list[Exterior]:
+    """Orientations by parallel projection: the affine one (non-planar points) and both reversal solutions of the plane.
+
+    xy must be near the optical axis (re-centred). Each is improved by `updates` POSIT steps.
+    """
+    mean = points.mean(axis=0)
+    reduced = points - mean
+    u, s, vt = np.linalg.svd(reduced, full_matrices=False)
+    out = []
+    for kind in ("affine", 1.0, -1.0):
+        if kind == "affine" and s[2] < 1e-4 * s[0]:
+            continue
+        target = xy
+        exterior = None
+        for _ in range(updates + 1):
+            centred = target - target.mean(axis=0)
+            if kind == "affine":
+                block = (vt.T @ ((u.T @ centred) / s[:, None])).T
+            else:
+                block = planar_block(centred, u, s, vt, float(kind))
+            exterior = _from_block(block, target.mean(axis=0), mean, c)
+            if exterior is None:
+                break
+            depth = -exterior.camera(points)[:, 2]
+            if (depth <= 0).any():
+                break
+            target = xy * (depth / depth.mean())[:, None]
+        if exterior is not None:
+            out.append(exterior)
+    return out
+
+
+def planar_block(centred: np.ndarray, u: np.ndarray, s: np.ndarray, vt: np.ndarray, sign: float) -> np.ndarray:
+    """The 2x3 block s M_12 of points in their plane, one of the two reversal solutions (FORMULAS section 3.4)."""
+    g = ((u[:, :2].T @ centred) / s[:2, None]).T  # rows g1, g2 in the plane's axes
+    ab = np.sqrt(complex(g[1] @ g[1] - g[0] @ g[0], -2 * (g[0] @ g[1])))
+    third = sign * np.array([ab.real, ab.imag])
+    normal = np.cross(vt[0], vt[1])
+    return g @ vt[:2] + third[:, None] * normal
+
+
+def pose_of_block(block: np.ndarray) -> tuple[np.ndarray, float]:
+    """M (3, 3) and scale of a 2x3 block that need not fulfil the constraints: closest rotation, m3 = m1 x m2."""
+    u, s, vt = np.linalg.svd(block, full_matrices=False)
+    m12 = u @ vt
+    return np.vstack([m12, np.cross(m12[0], m12[1])]), float(s.mean())
+
+
+def _from_block(block: np.ndarray, t: np.ndarray, mean: np.ndarray, c: float) -> Exterior | None:
+    m, scale = pose_of_block(block)
+    if not (np.isfinite(m).all() and scale > 0):
+        return None
+    return Exterior(m, mean - m.T @ np.array([t[0] / scale, t[1] / scale, -c / scale]))
+
+
+def three_points(points: np.ndarray, xy: np.ndarray, c: float) -> list[Exterior]:
+    """All orientations (up to four) that project three points exactly; complex pairs close to real are kept."""
+    f = _rays(xy, c)
+    a2, b2, c2 = (float(((points[i] - points[j]) ** 2).sum()) for i, j in ((1, 2), (0, 2), (0, 1)))
+    ca, cb, cg = float(f[1] @ f[2]), float(f[0] @ f[2]), float(f[0] @ f[1])
+    if min(a2, b2, c2) <= 0:
+        return []
+    q, r = (a2 - c2) / b2, (a2 + c2) / b2
+    quartic = [
+        (q - 1) ** 2 - 4 * c2 / b2 * ca**2,
+        4 * (q * (1 - q) * cb - (1 - r) * ca * cg + 2 * c2 / b2 * ca**2 * cb),
+        2 * (q**2 - 1 + 2 * q**2 * cb**2 + 2 * (b2 - c2) / b2 * ca**2 - 4 * r * ca * cb * cg + 2 * (b2 - a2) / b2 * cg**2),
+        4 * (-q * (1 + q) * cb + 2 * a2 / b2 * cg**2 * cb - (1 - r) * ca * cg),
+        (1 + q) ** 2 - 4 * a2 / b2 * cg**2,
+    ]
+    out = []
+    for v in np.roots(quartic):
+        if abs(v.imag) > 1e-3 * (1 + abs(v)) or v.real <= 0:
+            continue
+        s1 = np.sqrt(b2 / (1 + v.real**2 - 2 * v.real * cb))
+        inner = cg**2 - 1 + c2 / s1**2  # 1 + u^2 - 2 u cos(gamma) = c^2 / s1^2
+        roots = [cg + sign * np.sqrt(max(inner, 0.0)) for sign in (1, -1)]
+        misfit = [abs(u**2 + v.real**2 - 2 * u * v.real * ca - a2 / s1**2) for u in roots]
+        best = int(np.argmin(misfit))
+        take = [roots[best]] if misfit[1 - best] > 1e-3 * a2 / s1**2 else roots
+        for u in take:
+            if u > 0:
+                out.append(_align(points, f * (s1 * np.array([1.0, u, v.real]))[:, None]))
+    return out
+
+
+def _align(points: np.ndarray, camera: np.ndarray) -> Exterior:
+    """The orientation that carries three object points onto three camera points."""
+    def axes(p: np.ndarray) -> np.ndarray:
+        x = p[1] - p[0]
+        x = x / np.linalg.norm(x)
+        z = np.cross(x, p[2] - p[0])
+        z = z / max(float(np.linalg.norm(z)), 1e-300)
+        return np.stack([x, np.cross(z, x), z], axis=1)
+
+    m = axes(camera) @ axes(points).T
+    return Exterior(m, points.mean(axis=0) - m.T @ camera.mean(axis=0))
+
+
+def direct_linear(points: np.ndarray, xy: np.ndarray, c: float) -> list[Exterior]:
+    """Orientation of six or more non-planar points by the direct linear transformation, closest rotation."""
+    mean, scale = points.mean(axis=0), np.sqrt(3) / np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean())
+    x = np.concatenate([(points - mean) * scale, np.ones((len(points), 1))], axis=1)
+    uv, zero = xy / c, np.zeros_like(x)
+    rows = np.concatenate([np.concatenate([x, zero, uv[:, :1] * x], axis=1), np.concatenate([zero, x, uv[:, 1:] * x], axis=1)])
+    p = np.linalg.svd(rows)[2][-1].reshape(3, 4)  # (u, v, -1) ~ P X
+    p = p * np.sign(np.linalg.det(p[:, :3]) or 1.0)
+    size = np.cbrt(max(np.linalg.det(p[:, :3]), 1e-300))
+    try:
+        centre = mean - np.linalg.solve(p[:, :3], p[:, 3]) / scale
+    except np.linalg.LinAlgError:
+        return []
+    return [Exterior(closest_rotation(p[:, :3] / size), centre)]
+
+
+def plane_homography(points: np.ndarray, xy: np.ndarray, c: float) -> list[Exterior]:
+    """Orientation of four or more (nearly) coplanar points from the homography of their plane."""
+    mean = points.mean(axis=0)
+    _, s, vt = np.linalg.svd(points - mean)
+    scale = np.sqrt(len(points)) / s[0]
+    ab = np.concatenate([(points - mean) @ vt[:2].T * scale, np.ones((len(points), 1))], axis=1)
+    uv, zero = xy / c, np.zeros_like(ab)
+    rows = np.concatenate([np.concatenate([ab, zero, uv[:, :1] * ab], axis=1), np.concatenate([zero, ab, uv[:, 1:] * ab], axis=1)])
+    h = np.linalg.svd(rows)[2][-1].reshape(3, 3)  # (u, v, -1) ~ H (a, b, 1)
+    if h[2, 2] > 0:
+        h = -h  # the plane's centre lies in front: W < 0
+    length = (np.linalg.norm(h[:, 0]) + np.linalg.norm(h[:, 1])) / 2
+    if length <= 0:
+        return []
+    r1, r2, t = h[:, 0] / length, h[:, 1] / length, h[:, 2] / (length * scale)
+    axes = np.stack([vt[0], vt[1], np.cross(vt[0], vt[1])])
+    m = closest_rotation(np.stack([r1, r2, np.cross(r1, r2)], axis=1) @ axes)
+    return [Exterior(m, mean - m.T @ t)]
+
+
+def refine(points: np.ndarray, xy: np.ndarray, c: float, exteriors: list[Exterior],
+           steps: int = 25) -> tuple[list[Exterior], np.ndarray]:
+    """All starts improved together by Levenberg-Marquardt on the ideal coordinates.
+
+    Returns orientations and costs (half the sum of squares, unit of c squared) in the given order; the cost of a start
+    with a point behind the camera is inf.
+    """
+    if not exteriors:
+        return [], np.zeros(0)
+    m, centre = np.stack([e.m for e in exteriors]), np.stack([e.centre for e in exteriors])
+    damping = np.full(len(m), 1e-3)
+    v, j = _residuals(points, xy, c, m, centre)
+    cost = 0.5 * (v**2).sum(axis=1)
+    alive = np.isfinite(cost)
+    v, j, cost = np.where(alive[:, None], v, 0.0), np.where(alive[:, None, None], j, 0.0), np.where(alive, cost, np.inf)
+    for _ in range(steps):
+        jt = np.swapaxes(j, 1, 2)
+        n, g = jt @ j, (jt @ v[..., None])[..., 0]
+        d = np.sqrt(np.maximum(np.einsum("kii->ki", n), 1e-300))
+        scaled = n / d[:, :, None] / d[:, None, :] + (damping[:, None, None] + 1e-15) * np.eye(6)
+        dx = np.linalg.solve(scaled, (g / d)[..., None])[..., 0] / d
+        trial_m, trial_c = _exp_batch(dx[:, 3:]) @ m, centre + dx[:, :3]
+        tv, tj = _residuals(points, xy, c, trial_m, trial_c)
+        tcost = 0.5 * (tv**2).sum(axis=1)
+        better = (tcost <= cost) & alive
+        pick = better[:, None]
+        m, centre = np.where(pick[..., None], trial_m, m), np.where(pick, trial_c, centre)
+        v, j, cost = np.where(pick, tv, v), np.where(pick[..., None], tj, j), np.where(better, tcost, cost)
+        damping = np.where(better, damping * 0.1, np.maximum(damping, 1e-9) * 10)
+        if (np.linalg.norm(dx * d, axis=1)[alive] < 1e-9 * (np.sqrt(cost[alive]) + c * 1e-9)).all():
+            break
+    return [Exterior(a, b) for a, b in zip(m, centre, strict=True)], cost
+
+
+def apart(a: Exterior, b: Exterior) -> float:
+    """Angle between two attitudes [rad]."""
+    return float(2 * np.arcsin(min(1.0, np.linalg.norm(a.m - b.m) / np.sqrt(8))))
+
+
+def _rays(xy: np.ndarray, c: float) -> np.ndarray:
+    v = np.concatenate([xy, np.full((len(xy), 1), -c)], axis=1)
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
+
+
+def _residuals(points: np.ndarray, xy: np.ndarray, c: float, m: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals (k, 2n) and Jacobian (k, 2n, 6) of k orientations; NaN behind the camera."""
+    uvw = (points - centre[:, None]) @ np.swapaxes(m, 1, 2)
+    w = np.where(uvw[..., 2] < 0, uvw[..., 2], np.nan)
+    xh, yh = uvw[..., 0] / w, uvw[..., 1] / w
+    by = np.zeros((*uvw.shape[:2], 2, 3))
+    by[..., 0, 0] = by[..., 1, 1] = -c / w
+    by[..., 0, 2], by[..., 1, 2] = c * xh / w, c * yh / w
+    j = np.concatenate([-by @ m[:, None], -by @ skew(uvw)], axis=-1)
+    v = xy - np.stack([-c * xh, -c * yh], axis=-1)
+    k, n = uvw.shape[:2]
+    return v.reshape(k, 2 * n), j.reshape(k, 2 * n, 6)
+
+
+def _exp_batch(d: np.ndarray) -> np.ndarray:
+    theta = np.linalg.norm(d, axis=1)[:, None, None]
+    k = skew(d)
+    safe = np.where(theta > 1e-8, theta, 1.0)
+    a = np.where(theta > 1e-8, np.sin(safe) / safe, 1.0)
+    b = np.where(theta > 1e-8, (1 - np.cos(safe)) / safe**2, 0.5)
+    return np.eye(3) + a * k + b * (k @ k)
+
+
+def _wide_triples(points: np.ndarray, count: int = 4) -> list[list[int]]:
+    """Index triples of large area among the points furthest from the centroid and from each other."""
+    n = len(points)
+    if n <= 6:
+        pool = list(range(n))
+    else:
+        far = [int(np.argmax(((points - points.mean(axis=0)) ** 2).sum(axis=1)))]
+        while len(far) < 6:
+            far.append(int(np.argmax(np.min([((points - points[i]) ** 2).sum(axis=1) for i in far], axis=0))))
+        pool = far
+    triples = list(itertools.combinations(pool, 3))
+    p = points[np.array(triples)]
+    area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
+    return [list(triples[i]) for i in np.argsort(-area)[:count]]

@@ -1,0 +1,366 @@
+"""Orientation of one image: prepare the problem, let the engine step it, conclude with everything that judges it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from ..adjustment import Options, Trace, iterate, precision, solve
+from ..block import Block, Prior
+from ..cameras import Interior, project
+from ..errors import BadProject, DegenerateGeometry
+from ..geometry import Exterior, LocalFrame
+from .control import Control, control_of, geometry_warnings, require
+from .initial import Candidate, apart, candidates
+from .orthogonal import Form, Orthogonal
+from .resection import COLUMNS, UNITS, PriorOrientation, Resection
+from .result import Orientation
+from .robust import inliers
+from .words import bad_fit, correlations, undetermined
+
+AMBIGUOUS = 6.0
+"""Discrimination D below which two solutions cannot be told apart (FORMULAS section 3.4)."""
+ORTHOGONAL = Options.gauss_newton(max_iterations=100)
+SAME = 1e-5
+"""Attitudes closer than this [rad] are one solution."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to orient and how. points: names, None for all control of the image. free: interior parameters to adjust.
+
+    prior: "none"; "initial" starts there and nowhere else; "weighted" observes it with its sigmas.
+    one_pass, form, recentre: orthogonal model only; one pass takes the image's prior as approximate orientation.
+    """
+
+    image: str
+    model: Literal["perspective", "orthogonal"] = "perspective"
+    points: tuple[str, ...] | None = None
+    robust: bool = False
+    prior: Literal["none", "initial", "weighted"] = "none"
+    one_pass: bool = False
+    form: Form = "depth"
+    recentre: bool = True
+    free: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Start:
+    """A problem ready to iterate, and what is needed to conclude from its trace."""
+
+    problem: Resection | Orthogonal
+    x0: np.ndarray
+    options: Options
+    manifest: dict[str, Any]
+    request: Request
+    frame: LocalFrame
+    control: Control
+    used: np.ndarray
+    others: tuple[Candidate, ...]
+    approximate: PriorOrientation | None
+
+
+def orient(block: Block, request: Request) -> Orientation:
+    """Orientation of one image. Raises BadProject, DegenerateGeometry."""
+    start = prepare(block, request)
+    return conclude(start, Trace(tuple(iterate(start.problem, start.x0, start.options)), start.manifest))
+
+
+def resect(block: Block, image: str, **options: Any) -> Orientation:
+    """Exterior orientation of an image by the perspective model; options as in `Request`."""
+    return orient(block, Request(image, "perspective", **options))
+
+
+def resect_orthogonal(block: Block, image: str, **options: Any) -> Orientation:
+    """Exterior orientation of an image by the orthogonal projection model; options as in `Request`."""
+    return orient(block, Request(image, "orthogonal", **options))
+
+
+def prepare(block: Block, request: Request) -> Start:
+    """The problem of a request with its start, found without approximate values unless the request names a prior.
+
+    Raises BadProject (unknown names, missing prior) and DegenerateGeometry (too few, collinear, behind the camera).
+    """
+    frame = LocalFrame.around(block.points.xyz, block.crs, block.frame)
+    everything = control_of(block, request.image, frame, request.points)
+    prior = _prior(block, request, frame)
+    weighted = prior if request.prior == "weighted" and request.model == "perspective" else None
+    if weighted is None or weighted.count < 6:
+        require(everything, request.model)
+    used = inliers(everything) if request.robust else np.ones(len(everything), bool)
+    control = everything.take(used)
+    mean = control.points.mean(axis=0) if len(control) else np.zeros(3)
+    found = [_moved(k, mean) for k in candidates(control.points - mean, control.interior.ideal(control.pixels), control.interior.c)] \
+        if len(control) >= 3 else []
+    if not found and prior is None:
+        raise DegenerateGeometry(f"image '{request.image}': no camera position has all {len(control)} control points in front of it; "
+                                 "look for swapped axes, a wrong principal distance or mixed-up point names")
+    manifest = _manifest(block, request, frame, control)
+    if request.model == "perspective":
+        problem, x0, others = _perspective(request, control, found, prior, weighted)
+        options = Options()
+    else:
+        problem, x0, others = _orthogonal(request, control, found, prior)
+        options = ORTHOGONAL
+    manifest["initial"] = [float(v) for v in x0[:12]]
+    return Start(problem, x0, options, manifest, request, frame, everything, used, tuple(others), prior)
+
+
+def conclude(start: Start, trace: Trace) -> Orientation:
+    """The orientation at the end of a trace, with covariance, residuals of every point, ambiguity and warnings in words."""
+    chosen = _describe(start, trace)
+    control = start.control.take(start.used)
+    others = [o for o in (_alternative(start, k, control) for k in start.others) if o is not None]
+    others = [o for o in others if apart(o.local, chosen.local) > SAME]
+    d = _discrimination(start, chosen.local, control)
+    warnings = list(chosen.warnings)
+    if d is not None and d < AMBIGUOUS:
+        probability = _normal_probability(d / 2)
+        warnings.append(f"ambiguous: a second solution fits almost as well (D = {d:.1f}); the one with the smaller residuals was chosen, "
+                        f"right in about {probability:.0%} of such cases; both are reported")
+    elif d is not None and control.planar:
+        warnings.append(f"control lies in one plane: of the two reversal solutions the one with the smaller residuals was chosen (D = {d:.1f})")
+    return replace(chosen, warnings=tuple(warnings), alternatives=tuple(others[:4]), discrimination=d)
+
+
+# -- the two models -----------------------------------------------------------------------------------------------------
+
+
+def _perspective(request: Request, control: Control, found: list[Candidate], prior: PriorOrientation | None,
+                 weighted: PriorOrientation | None) -> tuple[Resection, np.ndarray, list[Candidate]]:
+    at = found[0].exterior if found else prior.exterior if prior else None
+    problem = Resection(control.interior, control.points, control.pixels, control.weights(at), request.free, weighted)
+    if request.prior == "initial" and prior is not None:
+        return problem, problem.start(prior.exterior), found
+    if weighted is not None and prior is not None:
+        runs = [(k, solve(problem, problem.start(k.exterior))) for k in [*found, Candidate(prior.exterior, prior.exterior, "prior", 0.0)]]
+        runs = [(k, t) for k, t in runs if np.isfinite(t.last.cost)]
+        if not runs:
+            raise DegenerateGeometry(f"image '{request.image}': control points lie behind the camera of the prior; check its angles")
+        best = min(runs, key=lambda r: r[1].last.cost)[0]
+        return problem, problem.start(best.start), [k for k in found if k is not best]
+    if problem.dof < 0:
+        raise DegenerateGeometry(f"image '{request.image}': {len(control)} control points cannot determine {6 + len(request.free)} unknowns; "
+                                 "measure more control or free fewer interior parameters")
+    best = found[0]
+    target = solve(problem, problem.start(best.exterior))
+    for first in (best.start, best.exterior):  # the crude start, where it leads to the same minimum
+        x0 = problem.start(first)
+        if apart(Exterior.from_vector(solve(problem, x0).last.x), Exterior.from_vector(target.last.x)) <= SAME:
+            break
+    return problem, x0, found[1:]
+
+
+def _orthogonal(request: Request, control: Control, found: list[Candidate],
+                prior: PriorOrientation | None) -> tuple[Orthogonal, np.ndarray, list[Candidate]]:
+    if request.one_pass and prior is None:
+        raise BadProject(f"image '{request.image}': one pass needs an approximate orientation; give [images.{request.image}.prior] with X, Y, Z, "
+                         "omega_deg, phi_deg, kappa_deg in project.toml, or iterate")
+    if request.free:
+        raise BadProject("the orthogonal model keeps the interior orientation fixed; use --model perspective with --free")
+    near = found[0].exterior if found else prior.exterior if prior else None
+    sigma = np.linalg.inv(control.weights(near))
+    frozen = prior.exterior if request.one_pass and prior else None
+    problem = Orthogonal(control.interior, control.points, control.pixels, sigma, request.form, request.recentre, frozen)
+    beginnings = problem.starts()
+    if request.prior == "initial" and prior:
+        beginnings = [problem.start(problem.affine_of(prior.exterior))]
+    if not request.one_pass:
+        beginnings += [problem.start(problem.affine_of(k.exterior)) for k in found]
+    x0, trace = _best_run(problem, beginnings, control)
+    if not request.one_pass and found and (not trace.converged or _false(control, Exterior.from_vector(trace.last.x), found[0].exterior)):
+        aimed = replace(problem, accelerated=True)
+        beginnings = [aimed.start(aimed.affine_of(e)) for k in found for e in (k.start, k.exterior)]
+        x0_aimed, trace = _best_run(aimed, beginnings, control)
+        if trace.converged and not _false(control, Exterior.from_vector(trace.last.x), found[0].exterior):
+            return aimed, x0_aimed, found
+    return problem, x0, found
+
+
+def _best_run(problem: Orthogonal, beginnings: list[np.ndarray], control: Control) -> tuple[np.ndarray, Trace]:
+    """Of all runs the converged one with the smallest perspective residual, shown from the first start that leads there."""
+    runs = [solve(problem, x0, ORTHOGONAL) for x0 in beginnings]
+    def rank(trace: Trace) -> tuple[bool, float]:
+        v = control.pixels - project(control.interior, Exterior.from_vector(trace.last.x), control.points)
+        cost = float((v**2).sum())
+        return not (trace.converged and np.isfinite(cost)), cost if np.isfinite(cost) else np.inf
+    best = min(runs, key=rank)
+    for x0, trace in zip(beginnings, runs, strict=True):
+        if trace.converged == best.converged and apart(Exterior.from_vector(trace.last.x), Exterior.from_vector(best.last.x)) < 1e-7:
+            return x0, trace
+    return beginnings[0], runs[0]
+
+
+def _false(control: Control, fixed: Exterior, best: Exterior) -> bool:
+    """Whether a fixed point's perspective residual is beyond what the control allows: three times the least possible."""
+    return not _rms(control, fixed) <= 3 * max(_rms(control, best), float(control.sigma_px.mean()))
+
+
+def _rms(control: Control, exterior: Exterior) -> float:
+    """Length of the two-dimensional residual [px]; NaN where a point lies behind the camera."""
+    v = control.pixels - project(control.interior, exterior, control.points)
+    return float(np.sqrt((v**2).sum() / len(v)))
+
+
+# -- statistics -----------------------------------------------------------------------------------------------------------
+
+
+def _describe(start: Start, trace: Trace) -> Orientation:
+    """Everything about the solution of a trace but its alternatives."""
+    x, problem, control = trace.last.x, start.problem, start.control
+    local = Exterior.from_vector(x)
+    used = control.take(start.used)
+    interior = problem.interior_at(x) if isinstance(problem, Resection) else control.interior
+    who = f"image '{control.image}'"
+    linear = problem.linear(x)
+    stats = precision(linear, f"{who}: the {start.request.model} orientation")
+    warnings = geometry_warnings(used)
+    interior_sigma: tuple[tuple[str, float], ...] = ()
+    if isinstance(problem, Resection):
+        covariance = stats.covariance[:6, :6]
+        interior_sigma = tuple(zip(problem.free, map(float, np.sqrt(np.diag(stats.covariance)[6:])), strict=True))
+    else:
+        covariance, said = _orthogonal_covariance(start, problem, trace, local)
+        warnings += said
+    exterior = Exterior(local.m, start.frame.to_map(local.centre))
+    covariance = exterior.angle_covariance(covariance)
+    n = len(used)
+    sigma0 = None if problem.dof < 1 else float(np.sqrt(2 * linear.cost / problem.dof))
+    warnings += [] if trace.converged else [f"did not converge: stopped by '{trace.last.stop}' after {trace.iterations} iterations; do not use"]
+    warnings += bad_fit(linear.cost, problem.dof)
+    warnings += correlations(covariance, stats.covariance, problem)
+    warnings += undetermined(covariance)
+    rejected = tuple(name for name, ok in zip(control.names, start.used, strict=True) if not ok)
+    if rejected:
+        warnings.append(f"rejected as blunders: {', '.join(rejected)}; their residuals are listed with used = false")
+    residuals = control.pixels - project(interior, local, control.points)
+    return Orientation(
+        image=control.image, model=start.request.model, exterior=exterior, local=local,
+        initial=Exterior.from_vector(trace.rows[0].x), covariance=covariance, sigma0=sigma0, dof=problem.dof, points=control.names,
+        residuals=residuals, redundancy=_spread(stats.redundancy[:n], start.used, 0.0), w=_spread(stats.w[:n], start.used, np.nan),
+        used=start.used, trace=trace, warnings=tuple(warnings), rejected=rejected,
+        interior=interior if interior_sigma else None, interior_sigma=interior_sigma,
+    )
+
+
+def _orthogonal_covariance(start: Start, problem: Orthogonal, trace: Trace, local: Exterior) -> tuple[np.ndarray, list[str]]:
+    leak = problem.statistics(local)
+    if start.request.one_pass:
+        prior = start.approximate
+        said = [f"one pass: {leak.radius:.2f} of an error of the approximate orientation comes through"]
+        if prior is None or prior.count < 6:
+            return leak.noise, [*said, "the approximate orientation has no sigmas: its own error is not in the standard errors"]
+        inverse = np.linalg.inv(prior.root)
+        return leak.noise + leak.leak @ (inverse @ inverse.T) @ leak.leak.T, said
+    said = []
+    used = start.control.take(start.used)
+    if leak.radius >= 1:
+        said.append(f"plain repetition of the orthogonal transformation runs away here (spectral radius {leak.radius:.2f}); "
+                    + ("its fixed point was found by accelerated steps" if problem.accelerated else "prefer the perspective solution"))
+    if start.others and trace.converged and _false(used, local, start.others[0].exterior):
+        said.append(f"false fixed point: the perspective residual is {_rms(used, local):.2f} px where "
+                    f"{_rms(used, start.others[0].exterior):.2f} px is possible; do not use")
+    return leak.iterated, said
+
+
+def _alternative(start: Start, candidate: Candidate, control: Control) -> Orientation | None:
+    """Another solution of the same model, or None where it does not converge to one."""
+    problem, options = start.problem, start.options
+    if isinstance(problem, Resection):
+        x0 = problem.start(candidate.exterior)
+    else:
+        x0 = problem.start(problem.affine_of(candidate.exterior))
+    trace = solve(problem, x0, options, start.manifest)
+    if not trace.converged or not np.isfinite(_rms(control, Exterior.from_vector(trace.last.x))):
+        return None
+    try:
+        return _describe(start, trace)
+    except DegenerateGeometry:
+        return None
+
+
+def _discrimination(start: Start, chosen: Exterior, control: Control) -> float | None:
+    """D: root of the chi-square that the nearest other minimum has on noise-free observations of the chosen solution."""
+    suspicious = len(start.others) > (start.request.model == "orthogonal") or len(control) < 5
+    flat = len(control) >= 3 and control.extent[2] < 0.05 * control.extent[0]
+    if len(control) < 3 or not (suspicious or flat):
+        return None
+    pixels = project(control.interior, chosen, control.points)
+    if not np.isfinite(pixels).all():
+        return None
+    mean = control.points.mean(axis=0)
+    perfect = Resection(control.interior, control.points, pixels, control.weights(chosen))
+    found = []
+    for k in candidates(control.points - mean, control.interior.ideal(pixels), control.interior.c):
+        trace = solve(perfect, perfect.start(_moved(k, mean).exterior))
+        if trace.converged and apart(Exterior.from_vector(trace.last.x), chosen) > SAME:
+            found.append(float(np.sqrt(2 * trace.last.cost)))
+    return min(found, default=None)
+
+
+def _normal_probability(z: float) -> float:
+    from math import erf, sqrt
+
+    return 0.5 * (1 + erf(z / sqrt(2)))
+
+
+# -- small parts ----------------------------------------------------------------------------------------------------------
+
+
+def _moved(candidate: Candidate, by: np.ndarray) -> Candidate:
+    return replace(candidate, exterior=candidate.exterior.shifted(-by), start=candidate.start.shifted(-by))
+
+
+def _spread(values: np.ndarray, used: np.ndarray, missing: float) -> np.ndarray:
+    """Values of the used points at their place among all points."""
+    out = np.full((len(used), 2), missing)
+    out[used] = values
+    return out
+
+
+def _prior(block: Block, request: Request, frame: LocalFrame) -> PriorOrientation | None:
+    """The image's prior in the local frame, where the request asks for it."""
+    if request.prior == "none" and not request.one_pass:
+        return None
+    name = request.image
+    prior: Prior | None = block.images[block.image_index(name)].prior
+    whole = "X, Y, Z, omega_deg, phi_deg, kappa_deg"
+    if prior is None or prior.centre is None or prior.angles is None:
+        raise BadProject(f"image '{name}' has no complete prior; give [images.{name}.prior] with {whole} in project.toml")
+    exterior = Exterior.from_angles(*prior.angles, centre=frame.to_local(prior.centre))
+    unknown = np.full(3, np.inf)
+    sigma_m = unknown if prior.sigma_m is None else prior.sigma_m
+    sigma_rad = unknown if prior.sigma_rad is None else prior.sigma_rad
+    if request.prior == "weighted" and not (np.isfinite(sigma_m).any() or np.isfinite(sigma_rad).any()):
+        raise BadProject(f"image '{name}': a weighted prior needs sigma_m or sigma_deg in [images.{name}.prior]")
+    from ..geometry import angle_derivatives
+
+    covariance = np.zeros((6, 6))
+    covariance[:3, :3] = np.diag(np.asarray(sigma_m, float) ** 2)
+    if np.isfinite(sigma_rad).all():
+        back = np.linalg.inv(angle_derivatives(exterior.m))
+        covariance[3:, 3:] = back @ np.diag(np.asarray(sigma_rad, float) ** 2) @ back.T
+    else:
+        covariance[3:, 3:] = np.diag(unknown)
+    return PriorOrientation.of(exterior, covariance)
+
+
+def camera_manifest(interior: Interior) -> dict[str, Any]:
+    """JSON-able values of an interior orientation, enough to make it again: Interior(**values)."""
+    return {**asdict(interior), "pixel_mm": [float(p) for p in interior.pitch]}
+
+
+def _manifest(block: Block, request: Request, frame: LocalFrame, control: Control) -> dict[str, Any]:
+    return {
+        "problem": "resection", "model": request.model, "image": request.image, "camera": camera_manifest(control.interior),
+        "crs": block.crs, "frame": block.frame, "origin": [float(v) for v in frame.origin], "points": list(control.names),
+        "xyz": control.points.tolist(), "pixels": control.pixels.tolist(), "sigma": control.sigma_px.tolist(),
+        "sigma_m": control.sigma_m.tolist(),
+        "columns": [*COLUMNS, *(request.free if request.model == "perspective" else tuple(f"A{i}" for i in range(1, 9)))],
+        "units": [*UNITS, *(("",) * len(request.free) if request.model == "perspective" else ("mm/m", "mm/m", "mm/m", "mm") * 2)],
+        "options": {k: v for k, v in asdict(request).items() if k not in ("image", "model")},
+    }
+
+
