@@ -15,13 +15,16 @@ import numpy as np
 from numba import njit
 
 FAST = {"reassoc", "contract", "nsz", "arcp"}  # no nnan, no ninf: NaN checks stay alive
-OK, AMBIGUOUS, TOO_FEW, COLLINEAR, DIVERGED, NOT_FINITE, BEHIND_CAMERA, OUTLIER, WEAK = range(9)
+kernel = njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+entry = njit(cache=True, error_model="numpy", no_cfunc_wrapper=True, nogil=True)
+OK, AMBIGUOUS, TOO_FEW, COLLINEAR, DIVERGED, NOT_FINITE, BEHIND_CAMERA, OUTLIER, WEAK, SINGULAR = range(10)
 MAX_MINIMA = 12
+MAX_STARTS = 40
 AMBIGUOUS_CHI2 = 36.0  # D = 6: FORMULAS of the two reversal solutions
 WEAK_ROTATION = 0.0873  # rad (5 degrees): beyond it the linear covariance says nothing
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True, fastmath=FAST)
 def normal(Y, n, R, t, A, g):
     """Lower normal matrix A (6, 6) and right side g (6,) of the tangent (e, d); returns the cost, inf behind the camera."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22 = (
@@ -113,7 +116,7 @@ def normal(Y, n, R, t, A, g):
     return np.inf if behind > 0 else cost
 
 
-@njit(cache=True)
+@kernel
 def cost_of(Y, n, R, t):
     """Sum of squared weighted residuals; inf when a point lies behind the camera."""
     s = 0.0
@@ -127,7 +130,7 @@ def cost_of(Y, n, R, t):
     return s
 
 
-@njit(cache=True)
+@kernel
 def cholesky(A, damping, L):
     """L with unit-free Marquardt damping of the diagonal; its diagonal holds the reciprocals. False when not definite."""
     for j in range(6):
@@ -147,7 +150,7 @@ def cholesky(A, damping, L):
     return True
 
 
-@njit(cache=True)
+@kernel
 def solve(L, g, x):
     """x with L L' x = g; returns g . x, the fall of the cost that the linear model promises."""
     promised = 0.0
@@ -165,7 +168,7 @@ def solve(L, g, x):
     return promised
 
 
-@njit(cache=True)
+@kernel
 def retract(R, t, x, Rn, tn):
     """(Rn, tn) = (R, t) moved by the tangent x: Cayley rotation, orthonormal to round-off without trigonometry."""
     a, b, c = 0.5 * x[3], 0.5 * x[4], 0.5 * x[5]
@@ -179,54 +182,58 @@ def retract(R, t, x, Rn, tn):
         tn[j] = t[j] + x[j]
 
 
-@njit(cache=True)
-def refine(Y, n, R, t, work):
-    """Levenberg-Marquardt from (R, t), in place. Returns (cost, converged); inf when the start is behind the camera."""
+@kernel
+def copy_pose(R, t, Rn, tn):
+    """(R, t) = (Rn, tn)."""
+    for i in range(3):
+        t[i] = tn[i]
+        for j in range(3):
+            R[i, j] = Rn[i, j]
+
+
+@kernel
+def refine(Y, n, R, t, work, ceiling):
+    """Levenberg-Marquardt from (R, t), in place. Returns (cost, converged); inf when the start is behind the camera.
+
+    Gives up at once when the first step does not promise to come below the ceiling.
+    """
     A, B, L, g, h, x, Rn, tn = work
-    cost = normal(Y, n, R, t, A, g)
-    if not cost < np.inf:
-        return np.inf, False
+    copy_pose(Rn, tn, R, t)
+    cost = np.inf
     damping = 0.0
     rejected = 0
-    for _ in range(60):
-        if not cholesky(A, damping, L):
-            damping = max(10.0 * damping, 1e-6)
-            rejected += 1
-            if rejected > 15:
-                return cost, False
-            continue
-        promised = solve(L, g, x)
-        retract(R, t, x, Rn, tn)
-        if promised < 1e-8 + 1e-13 * cost and damping < 1e-2:
-            R[:] = Rn
-            t[:] = tn
-            return max(cost - promised, 0.0), True
+    for step in range(60):
         trial = normal(Y, n, Rn, tn, B, h)
-        if trial <= cost * (1.0 + 1e-12):
+        if step == 0 and not trial < np.inf:
+            return np.inf, False
+        if step == 0 or trial <= cost * (1.0 + 1e-12):
             cost = trial
             A, B = B, A
             g, h = h, g
-            R[:] = Rn
-            t[:] = tn
+            copy_pose(R, t, Rn, tn)
             damping = 0.1 * damping if damping > 1e-6 else 0.0
             rejected = 0
         else:
             damping = max(10.0 * damping, 1e-4)
             rejected += 1
-            if rejected > 15:
+        while not cholesky(A, damping, L):
+            damping = max(10.0 * damping, 1e-6)
+            rejected += 1
+            if not damping < 1e6:
                 return cost, False
+        if rejected > 15:
+            return cost, False
+        promised = solve(L, g, x)
+        if step == 0 and cost - promised > ceiling:
+            return cost, False
+        retract(R, t, x, Rn, tn)
+        if promised < 1e-8 + 1e-13 * cost and damping < 1e-2:
+            copy_pose(R, t, Rn, tn)
+            return max(cost - promised, 0.0), True
     return cost, False
 
 
-@njit(cache=True)
-def scratch():
-    """The work arrays of one thread."""
-    return (
-        np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6)), np.empty(6), np.empty(6), np.empty(6), np.empty((3, 3)), np.empty(3),
-    )  # fmt: skip
-
-
-@njit(cache=True)
+@kernel
 def eigen3(S, E, values):
     """Eigenvectors of a symmetric 3x3 as columns of E, right handed, eigenvalues falling (cyclic Jacobi); S is destroyed."""
     for i in range(3):
@@ -268,7 +275,7 @@ def eigen3(S, E, values):
     E[2, 2] = E[0, 0] * E[1, 1] - E[1, 0] * E[0, 1]
 
 
-@njit(cache=True)
+@kernel
 def nadir_start(Y, n, R, t):
     """Similarity of plan and photo: a vertical photo. Returns the share of the photo's spread that it explains."""
     mu = mv = sa = sb = sd = sp = 0.0
@@ -295,7 +302,7 @@ def nadir_start(Y, n, R, t):
     return norm / (sd * sp)
 
 
-@njit(cache=True)
+@kernel
 def turn_to_axis(m0, m1, m2, V):
     """Smallest rotation V that takes the unit vector m, m2 > -1, to the optical axis."""
     k = 1.0 / (1.0 + m2)
@@ -304,7 +311,7 @@ def turn_to_axis(m0, m1, m2, V):
     V[2, 0], V[2, 1], V[2, 2] = m0, m1, m2
 
 
-@njit(cache=True)
+@kernel
 def mean_ray(Y, n, V):
     """The rotation of the re-centred bundle."""
     m0 = m1 = m2 = 0.0
@@ -317,21 +324,21 @@ def mean_ray(Y, n, V):
     turn_to_axis(m0 * k, m1 * k, m2 * k, V)
 
 
-@njit(cache=True)
+@kernel
 def orthographic_starts(Y, n, E, values, V, Rs, ts):
     """Both scaled-orthography poses of the re-centred bundle (plane solutions in the two widest axes); returns how many.
 
     Two updates of the depths (POSIT) take the perspective into account. E, values: principal axes of the ground points.
     """
     mean_ray(Y, n, V)
-    b = np.zeros((2, 2))
+    b = np.empty((2, 2))
     count = 0
     for sign in range(2):
         R, t = Rs[count], ts[count]
         good = True
         for update in range(3):
             mu = mv = 0.0
-            b[:] = 0.0
+            b[0, 0] = b[0, 1] = b[1, 0] = b[1, 1] = 0.0
             for i in range(n):
                 x, y, z = Y[3, i], Y[4, i], 1.0
                 w = V[2, 0] * x + V[2, 1] * y + V[2, 2] * z
@@ -384,7 +391,7 @@ def orthographic_starts(Y, n, E, values, V, Rs, ts):
     return count
 
 
-@njit(cache=True)
+@kernel
 def turn_back(V, R, t):
     """(V' R, V' t) in place."""
     for j in range(3):
@@ -396,13 +403,15 @@ def turn_back(V, R, t):
         t[i] = V[0, i] * a + V[1, i] * b + V[2, i] * c
 
 
-@njit(cache=True)
-def reversed_pose(R, t, n0, n1, n2, Rm):
-    """The reversal twin of (R, t) for a plane with unit normal n: mirrored about the viewing ray, Rm = H_ray R H_n."""
+@kernel
+def reversed_pose(R, t, n0, n1, n2, Rm, tm):
+    """The reversal twin of (R, t) for a plane with normal n: mirrored about the viewing ray, Rm = H_ray R H_n, tm = t."""
+    norm = 2.0 / (n0 * n0 + n1 * n1 + n2 * n2)
     k = 1.0 / np.sqrt(t[0] * t[0] + t[1] * t[1] + t[2] * t[2])
     s0, s1, s2 = t[0] * k, t[1] * k, t[2] * k
     for i in range(3):
-        f = 2.0 * (R[i, 0] * n0 + R[i, 1] * n1 + R[i, 2] * n2)
+        f = norm * (R[i, 0] * n0 + R[i, 1] * n1 + R[i, 2] * n2)
+        tm[i] = t[i]
         Rm[i, 0], Rm[i, 1], Rm[i, 2] = R[i, 0] - f * n0, R[i, 1] - f * n1, R[i, 2] - f * n2
     for j in range(3):
         f = 2.0 * (s0 * Rm[0, j] + s1 * Rm[1, j] + s2 * Rm[2, j])
@@ -411,7 +420,7 @@ def reversed_pose(R, t, n0, n1, n2, Rm):
         Rm[2, j] -= f * s2
 
 
-@njit(cache=True)
+@kernel
 def quartic(a, b, c, d, e, roots):
     """Real roots of a x^4 + .. + e, with the real part of complex pairs (noise splits double roots); returns how many."""
     b, c, d, e = b / a, c / a, d / a, e / a
@@ -447,7 +456,7 @@ def quartic(a, b, c, d, e, roots):
     return k
 
 
-@njit(cache=True)
+@kernel
 def triad(a0, a1, a2, b0, b1, b2, T):
     """Right-handed orthonormal frame T (columns) on two vectors."""
     k = 1.0 / np.sqrt(a0 * a0 + a1 * a1 + a2 * a2)
@@ -460,7 +469,7 @@ def triad(a0, a1, a2, b0, b1, b2, T):
     T[2, 1] = T[0, 2] * T[1, 0] - T[1, 2] * T[0, 0]
 
 
-@njit(cache=True)
+@kernel
 def polish(s1, s2, s3, a2, b2, c2, ca, cb, cg):
     """Newton on the three distances; leaves them alone where the three spheres touch (double root)."""
     for _ in range(4):
@@ -482,7 +491,7 @@ def polish(s1, s2, s3, a2, b2, c2, ca, cb, cg):
     return s1, s2, s3
 
 
-@njit(cache=True)
+@entry
 def three_point(Y, i, j, k, Rs, ts):
     """All poses of three points (Grunert 1841; Haralick et al. 1994), distances polished by Newton; returns how many."""
     idx = (i, j, k)
@@ -545,7 +554,7 @@ def three_point(Y, i, j, k, Rs, ts):
     return count
 
 
-@njit(cache=True)
+@kernel
 def keep(minima, count, R, t, cost):
     """Puts a minimum into its place by cost unless it is already there; returns the new count."""
     Rm, tm, cm = minima
@@ -562,17 +571,15 @@ def keep(minima, count, R, t, cost):
     if k < count and cost >= cm[k]:
         return count
     while k > 0 and cm[k - 1] > cost:
-        Rm[k] = Rm[k - 1]
-        tm[k] = tm[k - 1]
+        copy_pose(Rm[k], tm[k], Rm[k - 1], tm[k - 1])
         cm[k] = cm[k - 1]
         k -= 1
-    Rm[k] = R
-    tm[k] = t
+    copy_pose(Rm[k], tm[k], R, t)
     cm[k] = cost
     return min(count + 1, len(cm))
 
 
-@njit(cache=True)
+@kernel
 def widest_triple(Y, n, seed):
     """Indices of a wide triple that contains the seed point: the farthest from it, then the largest triangle."""
     j = k = seed
@@ -591,36 +598,7 @@ def widest_triple(Y, n, seed):
     return j, k
 
 
-@njit(cache=True)
-def all_minima(Y, n, ws):
-    """Every distinct minimum found from all general starts, in order of cost; returns (count, starts in front of the camera)."""
-    work, E, values, V, Rs, ts, R, t, minima = ws
-    count = 0
-    front = 0
-    for source in range(5):
-        if source == 0:
-            starts = orthographic_starts(Y, n, E, values, V, Rs, ts)
-        else:
-            if n == 3 and source > 1:
-                break
-            seed = (source - 1) * n // 4
-            j, k = widest_triple(Y, n, seed)
-            starts = three_point(Y, seed, j, k, Rs, ts)
-        for m in range(starts):
-            cost, converged = refine(Y, n, Rs[m], ts[m], work)
-            front += cost < np.inf
-            if converged:
-                count = keep(minima, count, Rs[m], ts[m], cost)
-    for m in range(min(count, 2)):  # reversal twins of the best
-        reversed_pose(minima[0][m], minima[1][m], E[0, 2], E[1, 2], E[2, 2], R)
-        t[:] = minima[1][m]
-        cost, converged = refine(Y, n, R, t, work)
-        if converged:
-            count = keep(minima, count, R, t, cost)
-    return count, front
-
-
-@njit(cache=True)
+@kernel
 def several(Y, n, trace):
     """True when the ground points lie at six places or more (5 % of the rms extent apart)."""
     near = 0.0025 * trace / n
@@ -641,7 +619,7 @@ def several(Y, n, trace):
     return False
 
 
-@njit(cache=True)
+@kernel
 def bad_fit(dof):
     """Sum of squares that chance exceeds in 3 of a million images (Wilson and Hilferty 1931)."""
     if dof <= 0:
@@ -650,37 +628,31 @@ def bad_fit(dof):
     return dof * (1.0 - k + 4.5 * np.sqrt(k)) ** 3
 
 
-@njit(cache=True)
-def runner_up(Y, n, R, t, cost, n0, n1, n2, ws):
-    """Cost of the reversal twin (inf: there is none worth a word); the better of the two stays in (R, t)."""
-    work, _, _, _, Rs, ts, _, _, minima = ws
-    A, L, g, x = work[0], work[2], work[3], work[5]
-    Rm, tm = Rs[3], ts[3]
-    reversed_pose(R, t, n0, n1, n2, Rm)
-    tm[:] = t
-    twin = normal(Y, n, Rm, tm, A, g)
-    if not twin < np.inf:
-        return cost, np.inf
-    if cholesky(A, 0.0, L) and twin - solve(L, g, x) > cost + 25.0 * AMBIGUOUS_CHI2 * max(1.0, cost / max(2 * n - 6, 1)):
-        return cost, np.inf
-    twin, converged = refine(Y, n, Rm, tm, work)
-    if not converged:
-        return cost, np.inf
-    minima[0][0] = R
-    minima[1][0] = t
-    if keep(minima, 1, Rm, tm, twin) == 1:
-        return cost, np.inf
-    if twin < cost:
-        R[:] = Rm
-        t[:] = tm
-        cost, twin = twin, cost
-    return cost, twin
+@kernel
+def general_starts(Y, n, stage, ws):
+    """Fills the starts: the likelier of both scaled orthographies (stage 1), or both and three-point poses (stage 2)."""
+    _, E, values, V, Rs, ts, _ = ws
+    starts = orthographic_starts(Y, n, E, values, V, Rs, ts)
+    if stage == 1:
+        if starts == 2 and cost_of(Y, n, Rs[1], ts[1]) < cost_of(Y, n, Rs[0], ts[0]):
+            copy_pose(Rs[0], ts[0], Rs[1], ts[1])
+        return min(starts, 1)
+    for corner in range(4 if n > 3 else 1):
+        seed = corner * n // 4
+        j, k = widest_triple(Y, n, seed)
+        starts += three_point(Y, seed, j, k, Rs[starts:], ts[starts:])
+    return starts
 
 
-@njit(cache=True)
-def orient(Y, n, R, t, ws):
-    """Best pose (R, t) of one image from any attitude. Returns (status, cost, cost of the runner-up)."""
-    work, E, values, V, Rs, ts, _, _, minima = ws
+@entry
+def orient(Y, n, stage, ws):
+    """Orients one image from any attitude; returns (status, number of minima), the minima in ws[-1] in order of cost.
+
+    stage 0: vertical start, then 1: scaled orthography, then 2: all starts. A stage is believed when its best perspective
+    residuals are at noise level; the reversal twin of the best is always tried.
+    """
+    work, E, values, S, Rs, ts, minima = ws
+    Rm, tm, cm = minima
     xx = xy = xz = yy = yz = zz = 0.0
     for i in range(n):
         x, y, z = Y[0, i], Y[1, i], Y[2, i]
@@ -693,50 +665,56 @@ def orient(Y, n, R, t, ws):
     trace = xx + yy + zz
     plan = xx * yy - xy * xy
     if not plan + xx * zz - xz * xz + yy * zz - yz * yz > 1e-8 * trace * trace:
-        return COLLINEAR, np.nan, np.inf
-    limit = bad_fit(2 * n - 6)
-    spread = several(Y, n, trace)
-    if spread and plan > 1e-3 * trace * trace and nadir_start(Y, n, R, t) > 0.9:
-        cost, converged = refine(Y, n, R, t, work)
-        if converged and cost < limit:
-            n0, n1 = (xy * yz - yy * xz) / plan, (xy * xz - xx * yz) / plan
-            k = 1.0 / np.sqrt(n0 * n0 + n1 * n1 + 1.0)
-            cost, second = runner_up(Y, n, R, t, cost, n0 * k, n1 * k, k, ws)
-            return judge(cost, second, n), cost, second
-    S = V
-    S[0, 0], S[0, 1], S[0, 2], S[1, 1], S[1, 2], S[2, 2] = xx, xy, xz, yy, yz, zz
-    S[1, 0], S[2, 0], S[2, 1] = xy, xz, yz
-    eigen3(S, E, values)
-    if spread and orthographic_starts(Y, n, E, values, V, Rs, ts) == 2:
-        m = 0 if cost_of(Y, n, Rs[0], ts[0]) <= cost_of(Y, n, Rs[1], ts[1]) else 1
-        cost, converged = refine(Y, n, Rs[m], ts[m], work)
-        if converged and cost < limit:
-            R[:] = Rs[m]
-            t[:] = ts[m]
-            cost, second = runner_up(Y, n, R, t, cost, E[0, 2], E[1, 2], E[2, 2], ws)
-            return judge(cost, second, n), cost, second
-    count, front = all_minima(Y, n, ws)
+        return COLLINEAR, 0
+    dof = 2 * n - 6
+    limit = bad_fit(dof)
+    if stage < 2 and not several(Y, n, trace):
+        stage = 2
+    if stage == 0 and not plan > 1e-3 * trace * trace:
+        stage = 1
+    count = 0
+    front = 0
+    eigen = False
+    while stage < 3:
+        if stage == 0:
+            starts = 1 if nadir_start(Y, n, Rs[0], ts[0]) > 0.9 else 0
+            n0, n1, n2 = (xy * yz - yy * xz) / plan, (xy * xz - xx * yz) / plan, 1.0
+        else:
+            if not eigen:
+                S[0, 0], S[0, 1], S[0, 2], S[1, 1], S[1, 2], S[2, 2] = xx, xy, xz, yy, yz, zz
+                S[1, 0], S[2, 0], S[2, 1] = xy, xz, yz
+                eigen3(S, E, values)
+                eigen = True
+            starts = general_starts(Y, n, stage, ws)
+            n0, n1, n2 = E[0, 2], E[1, 2], E[2, 2]
+        first = starts
+        ceiling = np.inf
+        m = 0
+        while m < starts:
+            cost, converged = refine(Y, n, Rs[m], ts[m], work, ceiling)
+            front += cost < np.inf
+            if converged:
+                count = keep(minima, count, Rs[m], ts[m], cost)
+            m += 1
+            if m == first and count > 0 and (stage == 2 or cm[0] < limit):
+                for k in range(1 if stage < 2 else min(count, 2)):
+                    reversed_pose(Rm[k], tm[k], n0, n1, n2, Rs[starts], ts[starts])
+                    starts += 1
+                if stage < 2:
+                    ceiling = cm[0] + 25.0 * AMBIGUOUS_CHI2 * max(1.0, cm[0] / dof)
+        stage = 3 if count > 0 and cm[0] < limit else stage + 1
     if count == 0:
-        return (DIVERGED if front > 0 else BEHIND_CAMERA), np.nan, np.inf
-    R[:] = minima[0][0]
-    t[:] = minima[1][0]
-    second = minima[2][1] if count > 1 else np.inf
-    return judge(minima[2][0], second, n), minima[2][0], second
+        return (DIVERGED if front > 0 else BEHIND_CAMERA), 0
+    if cm[0] > limit:
+        return OUTLIER, count
+    other = cm[1] - cm[0] if count > 1 else np.inf
+    return (AMBIGUOUS if other < AMBIGUOUS_CHI2 * max(1.0, cm[0] / max(dof, 1)) else OK), count
 
 
-@njit(cache=True)
-def judge(cost, second, n):
-    """Status of a pose from its own cost and the runner-up's."""
-    if cost > bad_fit(2 * n - 6):
-        return OUTLIER
-    return AMBIGUOUS if second - cost < AMBIGUOUS_CHI2 * max(1.0, cost / max(2 * n - 6, 1)) else OK
-
-
-@njit(cache=True)
+@kernel
 def covariance(Y, n, R, t, work, cov):
     """Covariance (6, 6) of (X_C, left rotation vector) in the photo frame; False when the pose is not determined."""
     A, J, L, g = work[0], work[1], work[2], work[3]
-    cov[:] = np.nan
     if not normal(Y, n, R, t, A, g) < np.inf or not cholesky(A, 0.0, L):
         return False
     # dX_C = -R' e - R' [t]x d ; photo frame: d -> S d.  J holds the rows, whitened by L: cov = W W'
@@ -765,17 +743,17 @@ def covariance(Y, n, R, t, work, cov):
     return True
 
 
-@njit(cache=True)
+@entry
 def workspace():
-    """Everything one thread needs to orient images one after another."""
-    minima = (np.empty((MAX_MINIMA, 3, 3)), np.empty((MAX_MINIMA, 3)), np.empty(MAX_MINIMA))
-    return (
-        scratch(), np.empty((3, 3)), np.empty(3), np.empty((3, 3)), np.empty((8, 3, 3)), np.empty((8, 3)), np.empty((3, 3)),
-        np.empty(3), minima,
+    """Everything one thread needs to orient images one after another; the last item holds the minima."""
+    work = (
+        np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6)), np.empty(6), np.empty(6), np.empty(6), np.empty((3, 3)), np.empty(3),
     )  # fmt: skip
+    minima = (np.empty((MAX_MINIMA, 3, 3)), np.empty((MAX_MINIMA, 3)), np.empty(MAX_MINIMA))
+    return work, np.empty((3, 3)), np.empty(3), np.empty((3, 3)), np.empty((MAX_STARTS, 3, 3)), np.empty((MAX_STARTS, 3)), minima
 
 
-@njit(cache=True)
+@kernel
 def gather(X, pixel, valid, sigma, camera, Y, index, mean):
     """Fills Y with the valid points of one image, ideal and reduced; returns their number, -1 when one is not finite.
 
@@ -817,7 +795,7 @@ def gather(X, pixel, valid, sigma, camera, Y, index, mean):
     return n
 
 
-@njit(cache=True)
+@kernel
 def to_photo(R, t, mean, M, C):
     """Photo-frame rotation M and perspective centre C of (R, t)."""
     for j in range(3):
@@ -825,7 +803,7 @@ def to_photo(R, t, mean, M, C):
         C[j] = mean[j] - (R[0, j] * t[0] + R[1, j] * t[1] + R[2, j] * t[2])
 
 
-@njit(cache=True)
+@kernel
 def worst_point(Y, n, R, t):
     """Position of the point with the largest residual."""
     worst, at = -1.0, 0
@@ -839,172 +817,191 @@ def worst_point(Y, n, R, t):
     return at
 
 
-@njit(cache=True)
-def orthogonal_fixed_point(Y, n, R, t, V, cov):
-    """The fixed point of the iterated orthogonal model (depth form, re-centred) next to (R, t), in place.
-
-    Re-transforming until nothing changes solves Jg' T r = 0 (Jg of the orthogonal, Jp of the perspective model, T = depth over
-    reference depth, r = perspective residual); Newton with N = Jg' T Jp does it in a few steps and also where the plain
-    iteration runs away (spectral radius of K above 1). cov = N^-1 (Jg' T Sigma T Jg) N^-T, the sandwich C_it.
-    Returns whether it converged.
-    """
-    mean_ray(Y, n, V)
-    Rv, tv = V @ R, V @ t
-    G, Jp, D = np.zeros((2, 6)), np.zeros((2, 6)), np.empty((2, 2))
-    Rn, tn, r = np.empty((3, 3)), np.empty(3), np.empty(2)
-    N, B, b, x = np.empty((6, 6)), np.empty((6, 6)), np.empty(6), np.empty(6)
-    converged = False
-    for _ in range(30):
-        N[:], B[:], b[:] = 0.0, 0.0, 0.0
-        for i in range(n):
-            w = V[2, 0] * Y[3, i] + V[2, 1] * Y[4, i] + V[2, 2]
-            p = (V[0, 0] * Y[3, i] + V[0, 1] * Y[4, i] + V[0, 2]) / w
-            q = (V[1, 0] * Y[3, i] + V[1, 1] * Y[4, i] + V[1, 2]) / w
-            a0 = Rv[0, 0] * Y[0, i] + Rv[0, 1] * Y[1, i] + Rv[0, 2] * Y[2, i]
-            a1 = Rv[1, 0] * Y[0, i] + Rv[1, 1] * Y[1, i] + Rv[1, 2] * Y[2, i]
-            a2 = Rv[2, 0] * Y[0, i] + Rv[2, 1] * Y[1, i] + Rv[2, 2] * Y[2, i]
-            depth = a2 + tv[2]
-            if not (w > 0.0 and depth > 0.0):
-                return False
-            T = depth / tv[2]
-            gx, gy = (a0 + tv[0]) / tv[2], (a1 + tv[1]) / tv[2]
-            u, v = gx / T, gy / T
-            G[0, 0], G[0, 2], G[0, 4], G[0, 5] = 1.0, -gx, a2, -a1
-            G[1, 1], G[1, 2], G[1, 3], G[1, 5] = 1.0, -gy, -a2, a0
-            Jp[0, 0], Jp[0, 2], Jp[0, 3], Jp[0, 4], Jp[0, 5] = 1.0, -u, -u * a1, a2 + u * a0, -a1
-            Jp[1, 1], Jp[1, 2], Jp[1, 3], Jp[1, 4], Jp[1, 5] = 1.0, -v, -a2 - v * a1, v * a0, a0
-            for j in range(2):
-                top = p if j == 0 else q
-                D[j, 0], D[j, 1] = (V[j, 0] - top * V[2, 0]) / w, (V[j, 1] - top * V[2, 1]) / w
-            r[0], r[1] = p - u, q - v
-            k = Y[5, i] * Y[5, i] * T / tv[2]
-            for c in range(6):
-                b[c] += k * (G[0, c] * r[0] + G[1, c] * r[1])
-                h0 = G[0, c] * D[0, 0] + G[1, c] * D[1, 0]
-                h1 = G[0, c] * D[0, 1] + G[1, c] * D[1, 1]
-                for e in range(6):
-                    N[c, e] += k * (G[0, c] * Jp[0, e] + G[1, c] * Jp[1, e]) / depth
-                    f0 = G[0, e] * D[0, 0] + G[1, e] * D[1, 0]
-                    f1 = G[0, e] * D[0, 1] + G[1, e] * D[1, 1]
-                    B[c, e] += k * T / tv[2] * (h0 * f0 + h1 * f1)
-        if not invert(N):
-            return False
-        for c in range(6):
-            x[c] = 0.0
-            for e in range(6):
-                x[c] += N[c, e] * b[e]
-        retract(Rv, tv, x, Rn, tn)
-        Rv[:], tv[:] = Rn, tn
-        size = (abs(x[0]) + abs(x[1]) + abs(x[2])) / abs(tv[2]) + abs(x[3]) + abs(x[4]) + abs(x[5])
-        if not (size < 1.0 and tv[2] > 0.0):
-            return False
-        if size < 1e-11:
-            converged = True
-            break
-    J = np.zeros((6, 6))
-    cross = np.array([[0.0, -tv[2], tv[1]], [tv[2], 0.0, -tv[0]], [-tv[1], tv[0], 0.0]])
-    J[:3, :3] = -Rv.T
-    J[:3, 3:] = -Rv.T @ cross
-    J[3:, 3:] = V.T
-    J[4] *= -1.0
-    J[5] *= -1.0
-    W = J @ N
-    cov[:] = W @ B @ W.T
-    R[:], t[:] = V.T @ Rv, V.T @ tv
-    return converged
-
-
-@njit(cache=True)
-def invert(A):
-    """Inverse of a small matrix in place (Gauss-Jordan with row pivots); False when singular."""
-    n = len(A)
-    order = np.arange(n)
-    for k in range(n):
+@kernel
+def invert(A, B):
+    """B = inverse of the 6x6 A, which is destroyed (Gauss-Jordan with row pivots); False when singular."""
+    for i in range(6):
+        for j in range(6):
+            B[i, j] = 1.0 if i == j else 0.0
+    for k in range(6):
         p = k
-        for i in range(k + 1, n):
+        for i in range(k + 1, 6):
             if abs(A[i, k]) > abs(A[p, k]):
                 p = i
         if not abs(A[p, k]) > 0.0:
             return False
-        if p != k:
-            for j in range(n):
-                A[p, j], A[k, j] = A[k, j], A[p, j]
-            order[p], order[k] = order[k], order[p]
-        d = 1.0 / A[k, k]
-        A[k, k] = 1.0
-        for j in range(n):
-            A[k, j] *= d
-        for i in range(n):
+        scale = 1.0 / A[p, k]
+        for j in range(6):
+            A[p, j], A[k, j] = A[k, j], A[p, j] * scale
+            B[p, j], B[k, j] = B[k, j], B[p, j] * scale
+        for i in range(6):
             if i != k:
                 f = A[i, k]
-                A[i, k] = 0.0
-                for j in range(n):
+                for j in range(6):
                     A[i, j] -= f * A[k, j]
-    B = A.copy()
-    for k in range(n):
-        A[:, order[k]] = B[:, k]
+                    B[i, j] -= f * B[k, j]
     return True
 
 
-@njit(cache=True, nogil=True)
-def resect_range(X, pixel, valid, sigma, camera, orthogonal, start, stop, M, C, cov, sigma0, chi, status, worst):
+@kernel
+def orthogonal_normal(Y, n, R, t, V, N, S, g, G, P):
+    """N = Jg' T Jp, S = Jg' T Sigma T Jg, g = Jg' T r of the re-centred bundle (rotation V); False behind the camera."""
+    for c in range(6):
+        g[c] = 0.0
+        for e in range(6):
+            N[c, e] = 0.0
+            S[c, e] = 0.0
+    iz = 1.0 / t[2]
+    for i in range(n):
+        w = V[2, 0] * Y[3, i] + V[2, 1] * Y[4, i] + V[2, 2]
+        p = (V[0, 0] * Y[3, i] + V[0, 1] * Y[4, i] + V[0, 2]) / w
+        q = (V[1, 0] * Y[3, i] + V[1, 1] * Y[4, i] + V[1, 2]) / w
+        a0 = R[0, 0] * Y[0, i] + R[0, 1] * Y[1, i] + R[0, 2] * Y[2, i]
+        a1 = R[1, 0] * Y[0, i] + R[1, 1] * Y[1, i] + R[1, 2] * Y[2, i]
+        a2 = R[2, 0] * Y[0, i] + R[2, 1] * Y[1, i] + R[2, 2] * Y[2, i]
+        depth = a2 + t[2]
+        if not (w > 0.0 and depth > 0.0):
+            return False
+        T = depth * iz
+        gx, gy = (a0 + t[0]) * iz, (a1 + t[1]) * iz
+        u, v = gx / T, gy / T
+        # rows of the orthogonal (G) and the perspective model (P), without 1 / t_z and 1 / depth
+        G[0, 0], G[0, 1], G[0, 2], G[0, 3], G[0, 4], G[0, 5] = 1.0, 0.0, -gx, 0.0, a2, -a1
+        G[1, 0], G[1, 1], G[1, 2], G[1, 3], G[1, 4], G[1, 5] = 0.0, 1.0, -gy, -a2, 0.0, a0
+        P[0, 0], P[0, 1], P[0, 2], P[0, 3], P[0, 4], P[0, 5] = 1.0, 0.0, -u, -u * a1, a2 + u * a0, -a1
+        P[1, 0], P[1, 1], P[1, 2], P[1, 3], P[1, 4], P[1, 5] = 0.0, 1.0, -v, -a2 - v * a1, v * a0, a0
+        d00, d01 = (V[0, 0] - p * V[2, 0]) / w, (V[0, 1] - p * V[2, 1]) / w  # of the re-centring: noise of (p, q)
+        d10, d11 = (V[1, 0] - q * V[2, 0]) / w, (V[1, 1] - q * V[2, 1]) / w
+        k = Y[5, i] * Y[5, i] * T * iz
+        for c in range(6):
+            g[c] += k * (G[0, c] * (p - u) + G[1, c] * (q - v))
+            h0 = k * T * iz * (G[0, c] * d00 + G[1, c] * d10)
+            h1 = k * T * iz * (G[0, c] * d01 + G[1, c] * d11)
+            for e in range(6):
+                N[c, e] += k / depth * (G[0, c] * P[0, e] + G[1, c] * P[1, e])
+                S[c, e] += h0 * (G[0, e] * d00 + G[1, e] * d10) + h1 * (G[0, e] * d01 + G[1, e] * d11)
+    return True
+
+
+@kernel
+def orthogonal_fixed_point(Y, n, R, t, ws, cov):
+    """The fixed point of the iterated orthogonal model (depth form, re-centred) next to (R, t), in place; whether found.
+
+    Re-transforming until nothing changes solves Jg' T r = 0 (Jg of the orthogonal, Jp of the perspective model, T = depth over
+    reference depth, r = perspective residual); Newton with N = Jg' T Jp does it in a few steps and also where the plain
+    iteration runs away (spectral radius of K above 1). cov = N^-1 (Jg' T Sigma T Jg) N^-T, the sandwich C_it.
+    """
+    N, S, B, g, x, _, Rn, tn = ws[0]
+    V, Rv, tv = ws[3], ws[4][0], ws[5][0]
+    G, P = ws[4][1:3].reshape(18)[:12].reshape(2, 6), ws[4][3:5].reshape(18)[:12].reshape(2, 6)
+    mean_ray(Y, n, V)
+    for i in range(3):
+        tv[i] = V[i, 0] * t[0] + V[i, 1] * t[1] + V[i, 2] * t[2]
+        for j in range(3):
+            Rv[i, j] = V[i, 0] * R[0, j] + V[i, 1] * R[1, j] + V[i, 2] * R[2, j]
+    size = 1.0
+    for _ in range(30):
+        if not (orthogonal_normal(Y, n, Rv, tv, V, N, S, g, G, P) and invert(N, B)):
+            return False
+        for c in range(6):
+            x[c] = 0.0
+            for e in range(6):
+                x[c] += B[c, e] * g[e]
+        retract(Rv, tv, x, Rn, tn)
+        copy_pose(Rv, tv, Rn, tn)
+        size = (abs(x[0]) + abs(x[1]) + abs(x[2])) / abs(tv[2]) + abs(x[3]) + abs(x[4]) + abs(x[5])
+        if not (size < 1.0 and tv[2] > 0.0):
+            return False
+        if size < 1e-11:
+            break
+    if not size < 1e-9:
+        return False
+    # (e, d) of the turned camera -> (X_C, d of the photo frame): dX_C = -R'(e + t x d), d = S V' d
+    for k in range(6):
+        for i in range(6):
+            N[i, k] = B[i, k]
+        h0 = B[0, k] + tv[1] * B[5, k] - tv[2] * B[4, k]
+        h1 = B[1, k] + tv[2] * B[3, k] - tv[0] * B[5, k]
+        h2 = B[2, k] + tv[0] * B[4, k] - tv[1] * B[3, k]
+        for i in range(3):
+            N[i, k] = -(Rv[0, i] * h0 + Rv[1, i] * h1 + Rv[2, i] * h2)
+            d = V[0, i] * B[3, k] + V[1, i] * B[4, k] + V[2, i] * B[5, k]
+            N[3 + i, k] = d if i == 0 else -d
+    for r in range(6):
+        for c in range(6):
+            B[r, c] = 0.0
+            for e in range(6):
+                B[r, c] += N[r, e] * S[e, c]
+    for r in range(6):
+        for c in range(6):
+            cov[r, c] = 0.0
+            for e in range(6):
+                cov[r, c] += B[r, e] * N[c, e]
+    turn_back(V, Rv, tv)
+    copy_pose(R, t, Rv, tv)
+    return True
+
+
+@kernel
+def no_pose(M, C, cov):
+    """NaN everywhere."""
+    for i in range(6):
+        C[i % 3] = np.nan
+        for j in range(6):
+            cov[i, j] = np.nan
+            M[i % 3, j % 3] = np.nan
+
+
+@entry
+def resect_range(X, pixel, valid, sigma, camera, start, stop, M, C, cov, sigma0, chi, status, worst):
     """Orients images start .. stop - 1; pose and covariance are NaN where the status gives none.
 
     chi: square root of how much worse the runner-up fits; worst: the point with the largest residual where an outlier is likely.
     """
     ws = workspace()
-    Y, index = np.empty((6, X.shape[1])), np.empty(X.shape[1], np.int64)
-    R, t, mean = np.empty((3, 3)), np.empty(3), np.empty(3)
+    R, t, cost = ws[6][0][0], ws[6][1][0], ws[6][2]
+    Y, index, mean = np.empty((6, X.shape[1])), np.empty(X.shape[1], np.int64), np.empty(3)
     for b in range(start, stop):
         n = gather(X[b], pixel[b], valid[b], sigma[b], camera, Y, index, mean)
-        cost, second, good, worst[b] = np.nan, np.inf, False, -1
-        if n < 3:
-            code = NOT_FINITE if n < 0 else TOO_FEW
+        code, count = (NOT_FINITE if n < 0 else TOO_FEW), 0
+        if n >= 3:
+            code, count = orient(Y, n, 0, ws)
+        if count > 0 and not covariance(Y, n, R, t, ws[0], cov[b]):
+            code, count = SINGULAR, 0
+        worst[b] = -1
+        sigma0[b] = np.sqrt(cost[0] / (2 * n - 6)) if n > 3 and count > 0 else np.nan
+        chi[b] = np.sqrt(cost[1] - cost[0]) if count > 1 else np.inf
+        if count == 0:
+            no_pose(M[b], C[b], cov[b])
         else:
-            code, cost, second = orient(Y, n, R, t, ws)
-            good = code == OK or code == AMBIGUOUS or code == OUTLIER
-        if good:
-            if orthogonal:
-                good = orthogonal_fixed_point(Y, n, R, t, ws[3], cov[b])
-                cost = cost_of(Y, n, R, t) if good else np.nan
-                code = code if good else DIVERGED
-            elif not covariance(Y, n, R, t, ws[0], cov[b]):
-                code, good = COLLINEAR, False
-        if good:
             to_photo(R, t, mean, M[b], C[b])
             if code == OUTLIER:
                 worst[b] = index[worst_point(Y, n, R, t)]
             elif code == OK and not max(cov[b, 3, 3], cov[b, 4, 4], cov[b, 5, 5]) < WEAK_ROTATION**2:
                 code = WEAK
-        else:
-            M[b], C[b], cov[b] = np.nan, np.nan, np.nan
-        sigma0[b] = np.sqrt(cost / (2 * n - 6)) if n > 3 and good else np.nan
-        chi[b] = np.sqrt(max(second - cost, 0.0)) if good else np.nan
         status[b] = code
 
 
-@njit(cache=True, nogil=True)
-def candidates(Y, n, mean, M, C, cost):
-    """Every minimum of one image, photo frame, in order of cost; returns how many. M (K, 3, 3), C (K, 3), cost (K,)."""
+@entry
+def orthogonal_range(X, pixel, valid, sigma, camera, start, stop, M, C, cov, sigma0, chi, status, worst):
+    """Turns the perspective poses of resect_range into orthogonal ones, in place."""
     ws = workspace()
-    S = Y[:3, :n] @ Y[:3, :n].T
-    eigen3(S, ws[1], ws[2])
-    if not ws[2][1] > 1e-8 * ws[2][0]:
-        return -COLLINEAR
-    count, front = all_minima(Y, n, ws)
-    if count == 0:
-        return -DIVERGED if front > 0 else -BEHIND_CAMERA
-    for k in range(count):
-        to_photo(ws[8][0][k], ws[8][1][k], mean, M[k], C[k])
-        cost[k] = ws[8][2][k]
-    return count
-
-
-@njit(cache=True, nogil=True)
-def three_point_roots(Y, mean, M, C):
-    """Raw three-point poses of the first three points, photo frame; returns how many (0 to 4, or 8 at symmetric ones)."""
-    ws = workspace()
-    count = three_point(Y, 0, 1, 2, ws[4], ws[5])
-    for k in range(count):
-        to_photo(ws[4][k], ws[5][k], mean, M[k], C[k])
-    return count
+    R, t = ws[6][0][0], ws[6][1][0]
+    Y, index, mean = np.empty((6, X.shape[1])), np.empty(X.shape[1], np.int64), np.empty(3)
+    for b in range(start, stop):
+        if not np.isfinite(C[b, 0]):
+            continue
+        n = gather(X[b], pixel[b], valid[b], sigma[b], camera, Y, index, mean)
+        for j in range(3):
+            R[0, j], R[1, j], R[2, j] = M[b, 0, j], -M[b, 1, j], -M[b, 2, j]
+        for i in range(3):
+            t[i] = R[i, 0] * (mean[0] - C[b, 0]) + R[i, 1] * (mean[1] - C[b, 1]) + R[i, 2] * (mean[2] - C[b, 2])
+        if orthogonal_fixed_point(Y, n, R, t, ws, cov[b]):
+            to_photo(R, t, mean, M[b], C[b])
+            sigma0[b] = np.sqrt(cost_of(Y, n, R, t) / (2 * n - 6)) if n > 3 else np.nan
+            if status[b] == OK and not max(cov[b, 3, 3], cov[b, 4, 4], cov[b, 5, 5]) < WEAK_ROTATION**2:
+                status[b] = WEAK
+        else:
+            no_pose(M[b], C[b], cov[b])
+            sigma0[b] = np.nan
+            status[b] = DIVERGED

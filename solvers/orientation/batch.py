@@ -28,6 +28,7 @@ class Status(IntEnum):
     BEHIND_CAMERA = 6
     OUTLIER = 7
     WEAK = 8
+    SINGULAR = 9
 
     @property
     def words(self) -> str:
@@ -49,6 +50,7 @@ _WORDS = {
     Status.BEHIND_CAMERA: "no orientation has all points in front of the camera",
     Status.OUTLIER: "residuals far above sigma_px: a gross error is likely (largest residual: `worst`), or sigma_px is too small",
     Status.WEAK: "a rotation has a standard deviation above 5 degrees: the geometry does not determine the orientation",
+    Status.SINGULAR: "the normal matrix is singular (camera on the danger cylinder, or points nearly on a line)",
 }
 
 
@@ -130,7 +132,9 @@ def resect_many(
     camera = np.concatenate([interior.parameters, interior.pitch, [(interior.width - 1) / 2, (interior.height - 1) / 2]])
     B = len(X)
     out = (np.empty((B, 3, 3)), np.empty((B, 3)), np.empty((B, 6, 6)), np.empty(B), np.empty(B), np.empty(B, np.int64), np.empty(B, np.int64))
-    _spread(lambda i, j: kernels.resect_range(X, uv, use, sigma, camera, model == "orthogonal", i, j, *out), B, threads)
+    _spread(lambda i, j: kernels.resect_range(X, uv, use, sigma, camera, i, j, *out), B, threads)
+    if model == "orthogonal":
+        _spread(lambda i, j: kernels.orthogonal_range(X, uv, use, sigma, camera, i, j, *out), B, threads)
     M, C, cov, sigma0, chi, status, worst = out
     return ResectMany(M, C, cov, sigma0, status, chi, worst, (interior, X, uv, use, sigma))
 
@@ -155,12 +159,12 @@ def solve_candidates(points: np.ndarray, xy: np.ndarray, c: float, weights: np.n
     from . import _kernels as kernels
 
     Y, mean = _reduced(points, xy, c, weights)
-    K = kernels.MAX_MINIMA
-    M, C, cost = np.empty((K, 3, 3)), np.empty((K, 3)), np.empty(K)
-    count = kernels.candidates(Y, Y.shape[1], mean, M, C, cost)
-    if count <= 0:
-        raise DegenerateGeometry(f"resection of {Y.shape[1]} points: {Status(-count).words}")
-    return Candidates(M[:count].copy(), C[:count].copy(), cost[:count].copy())
+    workspace = kernels.workspace()
+    status, count = kernels.orient(Y, Y.shape[1], 2, workspace)
+    if count == 0:
+        raise DegenerateGeometry(f"resection of {Y.shape[1]} points: {Status(status).words}")
+    R, t, cost = workspace[-1]
+    return _candidates(R[:count], t[:count], cost[:count], mean)
 
 
 def three_point(points: np.ndarray, xy: np.ndarray, c: float) -> Candidates:
@@ -170,14 +174,20 @@ def three_point(points: np.ndarray, xy: np.ndarray, c: float) -> Candidates:
     Y, mean = _reduced(points, xy, c, None)
     if Y.shape[1] != 3:
         raise ValueError(f"three_point takes three points, {Y.shape[1]} came")
-    M, C = np.empty((8, 3, 3)), np.empty((8, 3))
-    count = kernels.three_point_roots(Y, mean, M, C)
+    R, t = np.empty((8, 3, 3)), np.empty((8, 3))
+    count = kernels.three_point(Y, 0, 1, 2, R, t)
     if count == 0:
-        raise DegenerateGeometry("three-point resection: the three points have no pose in front of the camera, or lie on one line")
-    P = np.einsum("kij,knj->kni", M[:count], np.asarray(points, float) - C[:count, None])
+        raise DegenerateGeometry("three-point resection: no pose in front of the camera, or the three points lie on one line")
+    found = _candidates(R[:count], t[:count], np.zeros(count), mean)
+    P = np.einsum("kij,knj->kni", found.rotation, np.asarray(points, float) - found.centre[:, None])
     cost = np.sum((np.asarray(xy, float) + c * P[..., :2] / P[..., 2:]) ** 2, axis=(1, 2))
     order = np.argsort(cost)
-    return Candidates(M[order], C[order], cost[order])
+    return Candidates(found.rotation[order], found.centre[order], cost[order])
+
+
+def _candidates(R: np.ndarray, t: np.ndarray, cost: np.ndarray, mean: np.ndarray) -> Candidates:
+    """Photo-frame values of kernel poses (camera frame x right, y down, z forward)."""
+    return Candidates(R * np.array([1.0, -1.0, -1.0])[:, None], mean - np.einsum("kji,kj->ki", R, t), cost.copy())
 
 
 def _reduced(points, xy, c: float, weights) -> tuple[np.ndarray, np.ndarray]:
