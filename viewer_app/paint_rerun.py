@@ -1,0 +1,225 @@
+"""A run as a rerun recording: everything the adjustment saw, on the timeline "iteration".
+
+Entity paths are those of the scene (`/images/<name>/<model>/camera`, `.../rays`, `/points/control`); beside them stand
+`/images/<name>/photo` (measured and projected points, photo pixels), `/plots`, `/normal`, `/log` and `/about`.
+A trace that ended earlier keeps its last row. Positions are metres in the block's local frame.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from solvers.block import Block
+from solvers.geometry import Exterior, LocalFrame
+from solvers.orientation.result import Orientation
+
+from . import theme
+from .ground import nice
+from .replay import ELEMENTS, Replay
+from .rerun_layout import blueprint, part
+from .rerun_server import open_log, serve
+from .rerun_values import about, drawn, pinhole, pose, sentence, shade
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+__all__ = ["TIMELINE", "open_log", "record", "serve"]
+
+TIMELINE = "iteration"
+LOGARITHMIC = ("cost", "sigma0", "step", "gradient")
+PLOTTED = (*LOGARITHMIC, "damping", "trials")
+KINDS = {"control": theme.CONTROL, "check": theme.CHECK, "off": theme.INITIAL}
+JPEG_QUALITY = 85
+RESIDUAL_SHARE = 0.08
+"""Length of the longest residual vector on a photo, as a share of its width, that the exaggeration aims at."""
+
+
+def record(path: str | Path, block: Block, orientations: Sequence[Orientation], photos: Mapping[str, np.ndarray],
+           truth: Mapping[str, Any] | None = None) -> None:
+    """Write the recording of a run, atomically.
+
+    photos: small pictures uint8 (h, w, 3) by image name, of any size; images without one are drawn without.
+    truth: what `solvers.io.read_truth` gives back.
+    """
+    import rerun as rr
+
+    path = Path(path)
+    frame = LocalFrame.around(block.points.xyz, block.crs, block.frame)
+    replays = [Replay.of(o.trace, block, frame) for o in orientations]
+    site = frame.to_local(block.points.xyz)
+    site = site[np.isfinite(site).all(axis=1)]
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        stream = rr.RecordingStream("collinea", recording_id=_identity(block, replays), send_properties=False)
+        stream.set_log_time_enabled(False)
+        stream.set_log_tick_enabled(False)
+        stream.save(unfinished, default_blueprint=blueprint(replays, site))
+        with stream:  # leaving it writes the end of the file
+            stream.send_recording_name(block.name)
+            painter = _Painter(stream, block, frame, _depth(replays, site))
+            painter.still(orientations, photos, truth or {})
+            for replay, orientation in zip(replays, orientations, strict=True):
+                painter.trace(replay, orientation)
+            for image in dict.fromkeys(r.image for r in replays):
+                painter.residuals([r for r in replays if r.image == image])
+        os.replace(unfinished, path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+class _Painter:
+    """Values to rerun's archetypes. depth [m]: where image planes are drawn."""
+
+    def __init__(self, stream: rr.RecordingStream, block: Block, frame: LocalFrame, depth: float) -> None:
+        self.stream, self.block, self.frame, self.depth = stream, block, frame, depth
+
+    # -- what does not move
+
+    def still(self, orientations: Sequence[Orientation], photos: Mapping[str, np.ndarray], truth: Mapping[str, Any]) -> None:
+        import rerun as rr
+
+        self._static("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+        self._static("/about", rr.TextDocument(about(self.block, self.frame), media_type=rr.MediaType.MARKDOWN))
+        self._points()
+        shown = {o.image: [p for p in orientations if p.image == o.image] for o in orientations}
+        for name, of in shown.items():
+            self._photo(name, [o.model for o in of], photos.get(name))
+            self._camera(f"/images/{part(name)}/initial/camera", name, of[0].initial, theme.INITIAL, 0.8)
+            prior = self.block.images[self.block.image_index(name)].prior
+            if prior is not None and prior.centre is not None and prior.angles is not None:
+                given = Exterior.from_angles(*prior.angles, centre=self.frame.to_local(prior.centre))
+                self._camera(f"/images/{part(name)}/georeferenced/camera", name, given, theme.GEOREFERENCED, 0.7)
+            true = truth.get("images", {}).get(name)
+            if true is not None:
+                angles = np.radians([true["omega_deg"], true["phi_deg"], true["kappa_deg"]])
+                centre = self.frame.to_local(np.array([true["X"], true["Y"], true["Z"]]))
+                known = Exterior.from_angles(*angles, centre=centre)
+                self._camera(f"/images/{part(name)}/truth/camera", name, known, theme.TRUTH, 0.6)
+
+    def _points(self) -> None:
+        import rerun as rr
+
+        points = self.block.points
+        xyz, role = self.frame.to_local(points.xyz), np.array(points.role)
+        for kind, colour in (("control", theme.CONTROL), ("check", theme.CHECK)):
+            rows = np.flatnonzero((role == kind) & np.isfinite(xyz).all(axis=1))
+            if len(rows):
+                labels = [points.names[j] for j in rows]
+                self._static(f"/points/{kind}", rr.Points3D(xyz[rows], colors=colour, radii=rr.Radius.ui_points(4), labels=labels,
+                                                            show_labels=True))
+
+    def _photo(self, name: str, models: list[str], photo: np.ndarray | None) -> None:
+        """The photo under its measurements, in pixels of the full format, and in the image planes of its cameras."""
+        import rerun as rr
+
+        camera, picture = self.block.camera_of(name), None
+        if photo is not None:
+            picture = rr.Image(np.ascontiguousarray(photo)).compress(jpeg_quality=JPEG_QUALITY)
+            enlarge = rr.Transform3D(scale=[camera.width / photo.shape[1], camera.height / photo.shape[0], 1.0])
+            self._static(f"/images/{part(name)}/photo/picture", picture, enlarge)
+        for model in models:
+            path = f"/images/{part(name)}/{model}/camera"
+            self._static(path, pinhole(camera, theme.MODELS[model], self.depth, photo))
+            if picture is not None and model == models[0]:
+                self._static(f"{path}/picture", picture)
+
+    def _camera(self, path: str, name: str, exterior: Exterior, colour: theme.Colour, size: float) -> None:
+        self._static(path, pinhole(self.block.camera_of(name), colour, size * self.depth), pose(exterior))
+
+    # -- what the rows change
+
+    def trace(self, replay: Replay, orientation: Orientation) -> None:
+        import rerun as rr
+
+        image = f"/images/{part(replay.image)}"
+        where, colour = f"{part(replay.image)}/{replay.model}", theme.MODELS[replay.model]
+        thin, dot = rr.Radius.ui_points(0.6), rr.Radius.ui_points(2.5)
+        kinds = [KINDS[kind] for kind in replay.kinds]
+        self._static(f"{image}/photo/observed", rr.Points2D(drawn(replay.pixels), colors=kinds, radii=rr.Radius.ui_points(4),
+                                                            labels=replay.names))
+        for row in replay.rows:
+            self._at(row.index)
+            projected = rr.Points2D(drawn(replay.projected(row)), colors=colour, radii=dot)
+            normal = rr.Tensor(replay.normal(row), dim_names=[" ".join(ELEMENTS)] * 2, value_range=[-1, 1])
+            self.stream.log(f"{image}/{replay.model}/camera", pose(replay.exterior(row)))
+            self.stream.log(f"{image}/{replay.model}/rays", rr.LineStrips3D(replay.rays(row), colors=(*colour, 130), radii=thin))
+            self.stream.log(f"{image}/photo/{replay.model}/projected", projected)
+            self.stream.log(f"/normal/{where}", normal)
+            level = "WARN" if row.stop in ("diverged", "max_iterations") else "INFO"
+            self.stream.log(f"/log/{where}", rr.TextLog(sentence(replay, row), level=level, color=colour))
+        for warning in orientation.warnings:
+            self.stream.log(f"/log/{where}", rr.TextLog(f"{replay.image}, {replay.model}: {warning}", level="WARN", color=colour))
+        self._series(replay, f"/plots/{where}", colour)
+
+    def _series(self, replay: Replay, path: str, colour: theme.Colour) -> None:
+        """Each scalar as it is in the trace, the decimal logarithm of those that fall by powers of ten, and the elements."""
+        index = np.array([row.index for row in replay.rows])
+        for name in PLOTTED:
+            values = np.array([getattr(row, name) for row in replay.rows], float)
+            self._curve(f"{path}/{name}", f"{replay.model} {name}", index, values, colour)
+            if name in LOGARITHMIC:
+                tone = shade(colour, LOGARITHMIC.index(name), len(LOGARITHMIC))
+                logs = np.log10(np.where(values > 0, values, np.nan))
+                self._curve(f"{path}/log10/{name}", f"{replay.model} log10 {name}", index, logs, tone)
+        differences = np.array([replay.to_final(row) for row in replay.rows])
+        for i, name in enumerate(ELEMENTS):
+            kind, unit, tone = *(("position", "m") if i < 3 else ("attitude", "deg")), shade(colour, i % 3, 3)
+            self._curve(f"{path}/{kind}/{name}", f"{replay.model} {name} [{unit}]", index, differences[:, i], tone)
+
+    def _curve(self, path: str, name: str, index: np.ndarray, values: np.ndarray, colour: theme.Colour) -> None:
+        import rerun as rr
+
+        known = np.isfinite(values)
+        if known.any():
+            self._static(path, rr.SeriesLines(names=name, colors=colour, widths=2))
+            times = [rr.TimeColumn(TIMELINE, sequence=index[known])]
+            self.stream.send_columns(path, times, rr.Scalars.columns(scalars=values[known]))
+
+    def residuals(self, replays: Sequence[Replay]) -> None:
+        """Residual vectors of all models on one photo, in every row equally exaggerated, the factor written above the photo."""
+        import rerun as rr
+
+        image, width, thin = f"/images/{part(replays[0].image)}/photo", replays[0].camera.width, rr.Radius.ui_points(1)
+        for index in range(max(len(r.rows) for r in replays)):
+            self._at(index)
+            found = [(r, r.projected(r.row(index))) for r in replays]
+            longest = max((float(np.nanmax(np.linalg.norm(r.pixels - p, axis=1), initial=0.0)) for r, p in found), default=0.0)
+            factor = nice(RESIDUAL_SHARE * width / max(longest, 1e-9 * width))
+            for r, p in found:
+                seen = np.isfinite(p).all(axis=1)
+                ends = p + factor * (r.pixels - p)
+                vectors = drawn(np.stack([p, ends], axis=1)[seen])
+                strips = rr.LineStrips2D(vectors, colors=theme.MODELS[r.model], radii=thin)
+                self.stream.log(f"{image}/{r.model}/residuals", strips)
+            words, above = f"residuals × {factor:g}, the longest {longest:.3g} px", [[0.5 * width, -0.03 * width]]
+            self.stream.log(f"{image}/scale", rr.Points2D(above, labels=[words], colors=theme.RESIDUAL, show_labels=True))
+
+    def _static(self, path: str, *values: Any) -> None:
+        self.stream.log(path, *values, static=True)
+
+    def _at(self, index: int) -> None:
+        self.stream.set_time(TIMELINE, sequence=index)
+
+
+def _depth(replays: Sequence[Replay], site: np.ndarray) -> float:
+    """Depth (m) of image planes: about a twelfth of the way to the ground."""
+    if not replays:
+        return 1.0
+    far = np.median([np.linalg.norm(r.exterior(r.rows[-1]).centre - site.mean(axis=0)) for r in replays])
+    return nice(max(0.08 * float(far), 0.07 * float(np.linalg.norm(np.ptp(site, axis=0))), 1e-3))
+
+
+def _identity(block: Block, replays: Sequence[Replay]) -> str:
+    """The same run has the same identity, another run another."""
+    digest = hashlib.sha256(block.name.encode())
+    for replay in replays:
+        digest.update(f"{replay.image}|{replay.model}|{replay.names}".encode())
+        for row in replay.rows:
+            digest.update(np.ascontiguousarray(row.x).tobytes())
+    return digest.hexdigest()[:32]

@@ -1,0 +1,85 @@
+"""How a recording opens in rerun: the block in space, per image its photo, curves and normal matrix, and the log."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from . import theme
+from .replay import Replay
+
+if TYPE_CHECKING:
+    import rerun.blueprint as rrb
+
+
+def part(name: str) -> str:
+    """A name as one part of an entity path."""
+    import rerun as rr
+
+    return rr.escape_entity_path_part(name.replace("/", "_"))
+
+
+def blueprint(replays: Sequence[Replay], site: np.ndarray) -> rrb.Blueprint:
+    """site (n, 3) m: the known points, which the 3D view looks at."""
+    import rerun.blueprint as rrb
+
+    images = list(dict.fromkeys(r.image for r in replays))
+    tabs: list[Any] = [_image(name, [r for r in replays if r.image == name]) for name in images]
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(_space(replays, site), rrb.TextLogView(origin="/log", name="Log"), row_shares=[3, 1]),
+            rrb.Tabs(*tabs, rrb.TextDocumentView(origin="/about", name="About"), active_tab=0),
+            column_shares=[1, 1],
+        ),
+        rrb.TimePanel(state="collapsed", timeline="iteration", fps=2.0),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        auto_views=False,
+    )
+
+
+def _space(replays: Sequence[Replay], site: np.ndarray) -> rrb.Spatial3DView:
+    import rerun.blueprint as rrb
+
+    seen = np.concatenate([site, *[r.exterior(r.rows[-1]).centre[None] for r in replays]])
+    low, high = (seen.min(axis=0), seen.max(axis=0)) if len(seen) else (np.full(3, -1.0), np.ones(3))
+    target, reach = (low + high) / 2, 1.3 * max(float(np.linalg.norm(high - low)), 1e-3)
+    eye = rrb.EyeControls3D(position=target + reach * np.array([0.45, -0.75, 0.35]), look_target=target, eye_up=(0, 0, 1))
+    photos = [f"- /images/{part(name)}/photo/**" for name in dict.fromkeys(r.image for r in replays)]
+    return rrb.Spatial3DView(origin="/", name="Block", contents=["/images/**", "/points/**", *photos],
+                             background=theme.BACKGROUND_LIGHT, eye_controls=eye)
+
+
+def _image(name: str, replays: Sequence[Replay]) -> rrb.Vertical:
+    import rerun.blueprint as rrb
+
+    camera = replays[0].camera
+    width, height, room = camera.width, camera.height, 0.06 * camera.width
+    bounds = rrb.VisualBounds2D(x_range=[-room, width + room], y_range=[-room, height + room])
+    photo = rrb.Spatial2DView(origin=f"/images/{part(name)}/photo", name=f"{name}: observed, projected", visual_bounds=bounds,
+                              background=theme.BACKGROUND_LIGHT)
+    mapping = rrb.TensorScalarMapping(colormap="CyanToYellow", mag_filter="Nearest")
+    matrices = [rrb.TensorView(origin=f"/normal/{part(name)}/{r.model}", name=f"{r.model}, scaled to unit diagonal",
+                               scalar_mapping=mapping) for r in replays]
+    position, attitude = (_curves(replays, k, t) for k, t in (("position", "X Y Z minus final [m]"),
+                                                              ("attitude", "omega phi kappa minus final [deg]")))
+    return rrb.Vertical(
+        photo,
+        rrb.Tabs(
+            _curves(replays, "log10", "Convergence (log10)"),
+            rrb.Horizontal(position, attitude, name="Elements"),
+            rrb.Horizontal(*matrices, name="Normal matrix"),
+            active_tab=0,
+        ),
+        row_shares=[3, 2],
+        name=name,
+    )
+
+
+def _curves(replays: Sequence[Replay], kind: str, title: str) -> rrb.TimeSeriesView:
+    import rerun.blueprint as rrb
+
+    paths = [f"/plots/{part(r.image)}/{r.model}/{kind}/**" for r in replays]
+    return rrb.TimeSeriesView(origin="/plots", contents=paths, name=title, plot_legend=rrb.PlotLegend(visible=True))
