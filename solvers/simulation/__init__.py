@@ -1,0 +1,22 @@
+"""Scenes with known truth: what a project would hold, and what is behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from ..errors import BadProject
+from .clusters import uav_cluster
+from .scene import Render, Simulated
+from .terrain import Terrain
+
+__all__ = ["KINDS", "Render", "Simulated", "Terrain", "simulate", "uav_cluster"]
+
+KINDS: Mapping[str, Callable[..., Simulated]] = {"uav_cluster": uav_cluster}
+
+
+def simulate(kind: str, seed: int = 0, **options: Any) -> Simulated:
+    """A simulated scene of one of `KINDS`; the same seed gives the same scene. Raises BadProject for an unknown kind."""
+    if kind not in KINDS:
+        raise BadProject(f"there is no simulation '{kind}'; choose {', '.join(KINDS)}")
+    return KINDS[kind](seed, **options)
