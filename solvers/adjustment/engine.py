@@ -71,6 +71,7 @@ def iterate(problem: Problem, x0: np.ndarray, options: Options | None = None) ->
     yield Iteration(0, x, cost, _sigma0(cost, problem.dof), np.nan, _gradient(normal, cost), damping, 0)
     for index in range(1, options.max_iterations + 1):
         stop, fall, used, trial, length = None, -np.inf, damping, 0, np.nan
+        proposal, new_cost, new_misclosure = x, cost, misclosure
         for trial in range(1, options.max_trials + 1):  # noqa: B007  (trial is reported)
             used = damping
             dx, multipliers = normal.step(damping)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -42,18 +41,19 @@ class Dense:
     h: np.ndarray | None = None
     w: np.ndarray | None = None
 
-    @cached_property
+    @property
     def scale(self) -> np.ndarray:
+        """(u,) square roots of the diagonal, kept off zero."""
         diagonal = np.diag(self.n)
         floor = max(float(diagonal.max(initial=0.0)) * 1e-24, np.finfo(float).tiny)
         return np.sqrt(np.maximum(diagonal, floor))
 
-    @cached_property
+    @property
     def scaled(self) -> np.ndarray:
         """N with a unit diagonal: parameters of any unit weigh alike."""
         return self.n / np.outer(self.scale, self.scale)
 
-    @cached_property
+    @property
     def _border(self) -> tuple[np.ndarray, np.ndarray]:
         """H and w in scaled parameters, rows of unit length."""
         u = len(self.gradient)

@@ -68,7 +68,8 @@ def precision(linear: Linear, what: str = "the adjustment") -> Precision:
     try:
         q = normal.covariance()
     except np.linalg.LinAlgError:
-        raise DegenerateGeometry(f"{what} is singular: the observations do not determine every unknown; add or spread control") from None
+        raise DegenerateGeometry(f"{what} is singular: the observations do not determine every unknown; "
+                                 "add or spread control") from None
     n, b, u = linear.j.shape
     dof = n * b - u + (0 if linear.h is None else len(linear.h))
     eye = np.eye(b)

@@ -55,7 +55,7 @@ class LocalFrame:
     def _tangent(self) -> tuple[np.ndarray, np.ndarray]:
         """Geocentric origin (3,) and axes (3, 3): rows are grid east, grid north and up."""
         at = np.array(self._to_geocentric.transform(*self.origin))
-        higher, east = self.origin + [0, 0, 1.0], self.origin + [1.0, 0, 0]
+        east, _, higher = self.origin + np.eye(3)
         up = np.array(self._to_geocentric.transform(*higher)) - at
         up /= np.linalg.norm(up)
         x = np.array(self._to_geocentric.transform(*east)) - at

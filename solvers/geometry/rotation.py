@@ -74,7 +74,7 @@ def closest_rotation(a: np.ndarray) -> np.ndarray:
 
 def angle_derivatives(m: np.ndarray) -> np.ndarray:
     """d(omega, phi, kappa) / d(left rotation vector), (3, 3); large, as it must be, near phi = +-90 degrees."""
-    omega, phi, kappa = angles(m)
+    _, phi, kappa = angles(m)
     sk, ck, sp, cp = np.sin(kappa), np.cos(kappa), np.sin(phi), np.cos(phi)
     # columns: left rotation vectors of unit rates of omega, phi, kappa
     rates = np.array([[-cp * ck, -sk, 0.0], [cp * sk, -ck, 0.0], [-sp, 0.0, -1.0]])

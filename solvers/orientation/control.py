@@ -67,7 +67,8 @@ def control_of(block: Block, image: str, frame: LocalFrame, points: tuple[str, .
         for name in points:
             j = block.point_index(name)
             if block.points.role[j] != "control":
-                raise BadProject(f"point '{name}' has the role '{block.points.role[j]}', not control; change its role in points.csv")
+                raise BadProject(f"point '{name}' has the role '{block.points.role[j]}', not control; "
+                                 "change its role in points.csv")
             if j not in block.observations.point[rows]:
                 raise BadProject(f"point '{name}' is not observed in image '{image}'; add it to observations.csv or leave it out")
         rows = np.array([r for r in rows if block.points.names[block.observations.point[r]] in points], int)
@@ -95,7 +96,6 @@ def require(control: Control, model: str) -> None:
     least = 3 if model == "perspective" or (n >= 3 and control.planar) else 4
     if n < least:
         have = f"{n} ({named})" if n else "none"
-        plane = "" if model == "perspective" else ", or 3 that lie in one plane with level ground as their plane"
         plane = "" if model == "perspective" else " that are not in one plane"
         raise DegenerateGeometry(f"{who}: the {model} model needs at least {least} control points{plane}, there are {have}; "
                                  "measure more control in this image")
@@ -111,11 +111,15 @@ def require(control: Control, model: str) -> None:
 
 def geometry_warnings(control: Control) -> list[str]:
     """What a surveyor should know about the shape of the control before believing the result."""
-    s = control.extent
+    if len(control) < 3:
+        return []
+    reduced = control.points - control.points.mean(axis=0)
+    _, s, axes = np.linalg.svd(reduced)
+    length, _, relief = np.ptp(reduced @ axes.T, axis=0)
     out = []
     if s[1] < 0.05 * s[0]:
-        out.append(f"control points nearly collinear: their spread across the main direction is only {s[1] / s[0]:.1%} of that along it")
+        out.append(f"control points nearly collinear: their spread across the main direction is only "
+                   f"{s[1] / s[0]:.1%} of that along it")
     if len(control) > 3 and s[2] < 0.02 * s[0]:
-        relief = np.ptp((control.points - control.points.mean(axis=0)) @ np.linalg.svd(control.points - control.points.mean(axis=0))[2][2])
-        out.append(f"control points nearly coplanar: they depart by {relief:.2f} m from their plane over {2 * s[0] / np.sqrt(len(control)):.0f} m")
+        out.append(f"control points nearly coplanar: they depart by {relief:.2f} m from their plane over {length:.0f} m")
     return out

@@ -50,7 +50,8 @@ def candidates(points: np.ndarray, xy: np.ndarray, c: float) -> list[Candidate]:
     out: list[Candidate] = []
     for i in np.argsort(cost, kind="stable"):
         if np.isfinite(cost[i]) and all(apart(refined[i], other.exterior) > np.radians(0.01) for other in out):
-            first = next(k for k in range(len(found)) if np.isfinite(cost[k]) and apart(refined[k], refined[i]) <= np.radians(0.01))
+            led = [np.isfinite(cost[k]) and apart(refined[k], refined[i]) <= np.radians(0.01) for k in range(len(found))]
+            first = led.index(True)
             out.append(Candidate(refined[i], found[first][1], found[first][0], float(cost[i])))
     return out
 
@@ -172,7 +173,7 @@ def direct_linear(points: np.ndarray, xy: np.ndarray, c: float) -> list[Exterior
     mean, scale = points.mean(axis=0), np.sqrt(3) / np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean())
     x = np.concatenate([(points - mean) * scale, np.ones((len(points), 1))], axis=1)
     uv, zero = xy / c, np.zeros_like(x)
-    rows = np.concatenate([np.concatenate([x, zero, uv[:, :1] * x], axis=1), np.concatenate([zero, x, uv[:, 1:] * x], axis=1)])
+    rows = np.vstack([np.hstack([x, zero, uv[:, :1] * x]), np.hstack([zero, x, uv[:, 1:] * x])])
     p = np.linalg.svd(rows)[2][-1].reshape(3, 4)  # (u, v, -1) ~ P X
     p = p * np.sign(np.linalg.det(p[:, :3]) or 1.0)
     size = np.cbrt(max(np.linalg.det(p[:, :3]), 1e-300))
@@ -190,7 +191,7 @@ def plane_homography(points: np.ndarray, xy: np.ndarray, c: float) -> list[Exter
     scale = np.sqrt(len(points)) / s[0]
     ab = np.concatenate([(points - mean) @ vt[:2].T * scale, np.ones((len(points), 1))], axis=1)
     uv, zero = xy / c, np.zeros_like(ab)
-    rows = np.concatenate([np.concatenate([ab, zero, uv[:, :1] * ab], axis=1), np.concatenate([zero, ab, uv[:, 1:] * ab], axis=1)])
+    rows = np.vstack([np.hstack([ab, zero, uv[:, :1] * ab]), np.hstack([zero, ab, uv[:, 1:] * ab])])
     h = np.linalg.svd(rows)[2][-1].reshape(3, 3)  # (u, v, -1) ~ H (a, b, 1)
     if h[2, 2] > 0:
         h = -h  # the plane's centre lies in front: W < 0

@@ -63,7 +63,7 @@ class Orientation:
         keys = ("X", "Y", "Z", *ANGLES)
         values = dict(zip(keys, [*map(float, self.exterior.centre), *map(float, angles)], strict=True))
         scaled = None if self.sigma0 is None else dict(zip(keys, map(float, sigma * self.sigma0), strict=True))
-        interior = None
+        interior: dict[str, Any] = {}
         if self.interior is not None:
             interior = {_key(n): float(getattr(self.interior, n)) for n in PARAMETERS}
             interior["sigma"] = {_key(n): s for n, s in self.interior_sigma}

@@ -11,7 +11,7 @@ from ..adjustment import Options, Trace, iterate, precision, solve
 from ..block import Block, Prior
 from ..cameras import Interior, project
 from ..errors import BadProject, DegenerateGeometry
-from ..geometry import Exterior, LocalFrame
+from ..geometry import Exterior, LocalFrame, angle_derivatives
 from .control import Control, control_of, geometry_warnings, require
 from .initial import Candidate, apart, candidates
 from .orthogonal import Form, Orthogonal
@@ -92,11 +92,13 @@ def prepare(block: Block, request: Request) -> Start:
     used = inliers(everything) if request.robust else np.ones(len(everything), bool)
     control = everything.take(used)
     mean = control.points.mean(axis=0) if len(control) else np.zeros(3)
-    found = [_moved(k, mean) for k in candidates(control.points - mean, control.interior.ideal(control.pixels), control.interior.c)] \
-        if len(control) >= 3 else []
+    found: list[Candidate] = []
+    if len(control) >= 3:
+        ideal = control.interior.ideal(control.pixels)
+        found = [_moved(k, mean) for k in candidates(control.points - mean, ideal, control.interior.c)]
     if not found and prior is None:
-        raise DegenerateGeometry(f"image '{request.image}': no camera position has all {len(control)} control points in front of it; "
-                                 "look for swapped axes, a wrong principal distance or mixed-up point names")
+        raise DegenerateGeometry(f"image '{request.image}': no camera position has all {len(control)} control points in front "
+                                 "of it; look for swapped axes, a wrong principal distance or mixed-up point names")
     manifest = _manifest(block, request, frame, control)
     if request.model == "perspective":
         problem, x0, others = _perspective(request, control, found, prior, weighted)
@@ -114,14 +116,15 @@ def conclude(start: Start, trace: Trace) -> Orientation:
     control = start.control.take(start.used)
     others = [o for o in (_alternative(start, k, control) for k in start.others) if o is not None]
     others = [o for o in others if apart(o.local, chosen.local) > SAME]
-    d = _discrimination(start, chosen.local, control)
+    d = discrimination(start, chosen.local, control)
     warnings = list(chosen.warnings)
     if d is not None and d < AMBIGUOUS:
         probability = _normal_probability(d / 2)
-        warnings.append(f"ambiguous: a second solution fits almost as well (D = {d:.1f}); the one with the smaller residuals was chosen, "
-                        f"right in about {probability:.0%} of such cases; both are reported")
+        warnings.append(f"ambiguous: a second solution fits almost as well (D = {d:.1f}); the one with the smaller residuals "
+                        f"was chosen, right in about {probability:.0%} of such cases; both are reported")
     elif d is not None and control.planar:
-        warnings.append(f"control lies in one plane: of the two reversal solutions the one with the smaller residuals was chosen (D = {d:.1f})")
+        warnings.append("control lies in one plane: of the two reversal solutions the one with the smaller residuals "
+                        f"was chosen (D = {d:.1f})")
     return replace(chosen, warnings=tuple(warnings), alternatives=tuple(others[:4]), discrimination=d)
 
 
@@ -135,15 +138,17 @@ def _perspective(request: Request, control: Control, found: list[Candidate], pri
     if request.prior == "initial" and prior is not None:
         return problem, problem.start(prior.exterior), found
     if weighted is not None and prior is not None:
-        runs = [(k, solve(problem, problem.start(k.exterior))) for k in [*found, Candidate(prior.exterior, prior.exterior, "prior", 0.0)]]
+        beginnings = [*found, Candidate(prior.exterior, prior.exterior, "prior", 0.0)]
+        runs = [(k, solve(problem, problem.start(k.exterior))) for k in beginnings]
         runs = [(k, t) for k, t in runs if np.isfinite(t.last.cost)]
         if not runs:
-            raise DegenerateGeometry(f"image '{request.image}': control points lie behind the camera of the prior; check its angles")
+            raise DegenerateGeometry(f"image '{request.image}': control points lie behind the camera of the prior; "
+                                     "check its angles")
         best = min(runs, key=lambda r: r[1].last.cost)[0]
         return problem, problem.start(best.start), [k for k in found if k is not best]
     if problem.dof < 0:
-        raise DegenerateGeometry(f"image '{request.image}': {len(control)} control points cannot determine {6 + len(request.free)} unknowns; "
-                                 "measure more control or free fewer interior parameters")
+        raise DegenerateGeometry(f"image '{request.image}': {len(control)} control points cannot determine "
+                                 f"{6 + len(request.free)} unknowns; measure more control or free fewer interior parameters")
     best = found[0]
     target = solve(problem, problem.start(best.exterior))
     for first in (best.start, best.exterior):  # the crude start, where it leads to the same minimum
@@ -156,8 +161,9 @@ def _perspective(request: Request, control: Control, found: list[Candidate], pri
 def _orthogonal(request: Request, control: Control, found: list[Candidate],
                 prior: PriorOrientation | None) -> tuple[Orthogonal, np.ndarray, list[Candidate]]:
     if request.one_pass and prior is None:
-        raise BadProject(f"image '{request.image}': one pass needs an approximate orientation; give [images.{request.image}.prior] with X, Y, Z, "
-                         "omega_deg, phi_deg, kappa_deg in project.toml, or iterate")
+        raise BadProject(f"image '{request.image}': one pass needs an approximate orientation; give "
+                         f"[images.{request.image}.prior] with X, Y, Z, omega_deg, phi_deg, kappa_deg "
+                         "in project.toml, or iterate")
     if request.free:
         raise BadProject("the orthogonal model keeps the interior orientation fixed; use --model perspective with --free")
     near = found[0].exterior if found else prior.exterior if prior else None
@@ -170,11 +176,11 @@ def _orthogonal(request: Request, control: Control, found: list[Candidate],
     if not request.one_pass:
         beginnings += [problem.start(problem.affine_of(k.exterior)) for k in found]
     x0, trace = _best_run(problem, beginnings, control)
-    if not request.one_pass and found and (not trace.converged or _false(control, Exterior.from_vector(trace.last.x), found[0].exterior)):
+    if not request.one_pass and found and not _sound(control, trace, found[0].exterior):
         aimed = replace(problem, accelerated=True)
         beginnings = [aimed.start(aimed.affine_of(e)) for k in found for e in (k.start, k.exterior)]
         x0_aimed, trace = _best_run(aimed, beginnings, control)
-        if trace.converged and not _false(control, Exterior.from_vector(trace.last.x), found[0].exterior):
+        if _sound(control, trace, found[0].exterior):
             return aimed, x0_aimed, found
     return problem, x0, found
 
@@ -187,10 +193,16 @@ def _best_run(problem: Orthogonal, beginnings: list[np.ndarray], control: Contro
         cost = float((v**2).sum())
         return not (trace.converged and np.isfinite(cost)), cost if np.isfinite(cost) else np.inf
     best = min(runs, key=rank)
+    goal = Exterior.from_vector(best.last.x)
     for x0, trace in zip(beginnings, runs, strict=True):
-        if trace.converged == best.converged and apart(Exterior.from_vector(trace.last.x), Exterior.from_vector(best.last.x)) < 1e-7:
+        if trace.converged == best.converged and apart(Exterior.from_vector(trace.last.x), goal) < 1e-7:
             return x0, trace
     return beginnings[0], runs[0]
+
+
+def _sound(control: Control, trace: Trace, best: Exterior) -> bool:
+    """Whether an orthogonal run ended in a fixed point that the perspective residual confirms."""
+    return trace.converged and not _false(control, Exterior.from_vector(trace.last.x), best)
 
 
 def _false(control: Control, fixed: Exterior, best: Exterior) -> bool:
@@ -228,7 +240,8 @@ def _describe(start: Start, trace: Trace) -> Orientation:
     covariance = exterior.angle_covariance(covariance)
     n = len(used)
     sigma0 = None if problem.dof < 1 else float(np.sqrt(2 * linear.cost / problem.dof))
-    warnings += [] if trace.converged else [f"did not converge: stopped by '{trace.last.stop}' after {trace.iterations} iterations; do not use"]
+    if not trace.converged:
+        warnings.append(f"did not converge: stopped by '{trace.last.stop}' after {trace.iterations} iterations; do not use")
     warnings += bad_fit(linear.cost, problem.dof)
     warnings += correlations(covariance, stats.covariance, problem)
     warnings += undetermined(covariance)
@@ -238,8 +251,9 @@ def _describe(start: Start, trace: Trace) -> Orientation:
     residuals = control.pixels - project(interior, local, control.points)
     return Orientation(
         image=control.image, model=start.request.model, exterior=exterior, local=local,
-        initial=Exterior.from_vector(trace.rows[0].x), covariance=covariance, sigma0=sigma0, dof=problem.dof, points=control.names,
-        residuals=residuals, redundancy=_spread(stats.redundancy[:n], start.used, 0.0), w=_spread(stats.w[:n], start.used, np.nan),
+        initial=Exterior.from_vector(trace.rows[0].x), covariance=covariance, sigma0=sigma0, dof=problem.dof,
+        points=control.names, residuals=residuals,
+        redundancy=_spread(stats.redundancy[:n], start.used, 0.0), w=_spread(stats.w[:n], start.used, np.nan),
         used=start.used, trace=trace, warnings=tuple(warnings), rejected=rejected,
         interior=interior if interior_sigma else None, interior_sigma=interior_sigma,
     )
@@ -257,8 +271,9 @@ def _orthogonal_covariance(start: Start, problem: Orthogonal, trace: Trace, loca
     said = []
     used = start.control.take(start.used)
     if leak.radius >= 1:
-        said.append(f"plain repetition of the orthogonal transformation runs away here (spectral radius {leak.radius:.2f}); "
-                    + ("its fixed point was found by accelerated steps" if problem.accelerated else "prefer the perspective solution"))
+        cure = "its fixed point was found by accelerated steps" if problem.accelerated else "prefer the perspective solution"
+        said.append("plain repetition of the orthogonal transformation runs away here "
+                    f"(spectral radius {leak.radius:.2f}); {cure}")
     if start.others and trace.converged and _false(used, local, start.others[0].exterior):
         said.append(f"false fixed point: the perspective residual is {_rms(used, local):.2f} px where "
                     f"{_rms(used, start.others[0].exterior):.2f} px is possible; do not use")
@@ -281,7 +296,7 @@ def _alternative(start: Start, candidate: Candidate, control: Control) -> Orient
         return None
 
 
-def _discrimination(start: Start, chosen: Exterior, control: Control) -> float | None:
+def discrimination(start: Start, chosen: Exterior, control: Control) -> float | None:
     """D: root of the chi-square that the nearest other minimum has on noise-free observations of the chosen solution."""
     suspicious = len(start.others) > (start.request.model == "orthogonal") or len(control) < 5
     flat = len(control) >= 3 and control.extent[2] < 0.05 * control.extent[0]
@@ -324,24 +339,28 @@ def _prior(block: Block, request: Request, frame: LocalFrame) -> PriorOrientatio
     """The image's prior in the local frame, where the request asks for it."""
     if request.prior == "none" and not request.one_pass:
         return None
-    name = request.image
+    prior = given_prior(block, request.image, frame)
+    if request.prior == "weighted" and prior.count == 0:
+        raise BadProject(f"image '{request.image}': a weighted prior needs sigma_m or sigma_deg in "
+                         f"[images.{request.image}.prior]")
+    return prior
+
+
+def given_prior(block: Block, name: str, frame: LocalFrame) -> PriorOrientation:
+    """The prior of an image in the local frame. Raises BadProject where position or angles are missing."""
     prior: Prior | None = block.images[block.image_index(name)].prior
-    whole = "X, Y, Z, omega_deg, phi_deg, kappa_deg"
     if prior is None or prior.centre is None or prior.angles is None:
-        raise BadProject(f"image '{name}' has no complete prior; give [images.{name}.prior] with {whole} in project.toml")
+        raise BadProject(f"image '{name}' has no complete prior; give [images.{name}.prior] with X, Y, Z, omega_deg, phi_deg, "
+                         "kappa_deg in project.toml")
     exterior = Exterior.from_angles(*prior.angles, centre=frame.to_local(prior.centre))
     unknown = np.full(3, np.inf)
-    sigma_m = unknown if prior.sigma_m is None else prior.sigma_m
-    sigma_rad = unknown if prior.sigma_rad is None else prior.sigma_rad
-    if request.prior == "weighted" and not (np.isfinite(sigma_m).any() or np.isfinite(sigma_rad).any()):
-        raise BadProject(f"image '{name}': a weighted prior needs sigma_m or sigma_deg in [images.{name}.prior]")
-    from ..geometry import angle_derivatives
-
+    sigma_m = unknown if prior.sigma_m is None else np.asarray(prior.sigma_m, float)
+    sigma_rad = unknown if prior.sigma_rad is None else np.asarray(prior.sigma_rad, float)
     covariance = np.zeros((6, 6))
-    covariance[:3, :3] = np.diag(np.asarray(sigma_m, float) ** 2)
+    covariance[:3, :3] = np.diag(sigma_m**2)
     if np.isfinite(sigma_rad).all():
         back = np.linalg.inv(angle_derivatives(exterior.m))
-        covariance[3:, 3:] = back @ np.diag(np.asarray(sigma_rad, float) ** 2) @ back.T
+        covariance[3:, 3:] = back @ np.diag(sigma_rad**2) @ back.T
     else:
         covariance[3:, 3:] = np.diag(unknown)
     return PriorOrientation.of(exterior, covariance)

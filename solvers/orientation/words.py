@@ -25,8 +25,8 @@ def bad_fit(cost: float, dof: int) -> list[str]:
         return [f"bad fit: sigma0 = {sigma0:.2f}, residuals larger than the given sigmas allow (chi-square test, 0.1 %): "
                 "look for blunders, uncorrected distortion or too small sigmas"]
     if lower < 0.0005:
-        return [f"suspiciously good fit: sigma0 = {sigma0:.2f}, residuals much smaller than the given sigmas (chi-square test, 0.1 %): "
-                "the sigmas are probably too large"]
+        return [f"suspiciously good fit: sigma0 = {sigma0:.2f}, residuals much smaller than the given sigmas (chi-square test, "
+                "0.1 %): the sigmas are probably too large"]
     return []
 
 
@@ -58,7 +58,8 @@ def undetermined(covariance: np.ndarray) -> list[str]:
     """Whether this image determines its tilt at all (FORMULAS section 5: 2 degrees)."""
     tilt = float(np.degrees(np.sqrt(covariance[3, 3] + covariance[4, 4])))
     if not np.isfinite(tilt) or tilt > 2:
-        return [f"the tilt is not determined by this control (standard error {tilt:.1f} degrees): use the orientation only inside the control"]
+        return [f"the tilt is not determined by this control (standard error {tilt:.1f} degrees): "
+                "use the orientation only inside the control"]
     return []
 
 
