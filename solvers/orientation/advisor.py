@@ -120,8 +120,9 @@ def _choose(found: dict[str, Prediction], d: float | None, agreement: float | No
     free = deg("perspective")
     if agreement is not None and agreement >= DISTRUST:
         share = found["perspective with prior"].remarks["prior_share"]
-        reasons.append(f"the prior joins as a weighted observation: predicted tilt error "
-                       f"{deg('perspective with prior'):.3f} degrees, {free:.3f} without it, {deg('orthogonal one pass'):.3f} for one orthogonal pass through the prior")
+        reasons.append("the prior joins as a weighted observation: predicted tilt error "
+                       f"{deg('perspective with prior'):.3f} degrees, {free:.3f} without it, "
+                       f"{deg('orthogonal one pass'):.3f} for one orthogonal pass through the prior")
         if share > 0.5:
             reasons.append(f"the tilt comes from the prior, not from this image ({share:.0%} of it)")
         if deg("orthogonal one pass") < free:
@@ -129,8 +130,9 @@ def _choose(found: dict[str, Prediction], d: float | None, agreement: float | No
                            "but not the perspective model with it")
         return "perspective with prior", reasons
     if agreement is not None:
-        reasons.append(f"the prior contradicts the image (an honest one would do so once in "
-                       f"{1 / max(agreement, 1e-12):.0f} times): its sigmas are too small or it belongs to another image; it is not used")
+        rarity = f"{1 / max(agreement, 1e-9):.0f}" if agreement > 1e-9 else "a billion or more"
+        reasons.append(f"the prior contradicts the image (an honest one would do so once in {rarity} times): "
+                       "its sigmas are too small or it belongs to another image; it is not used")
     if not free <= UNDETERMINED_DEG:
         reasons.append(f"this control does not determine the tilt ({free:.1f} degrees): register locally (similarity, affine, "
                        "homography) and claim no exterior orientation")

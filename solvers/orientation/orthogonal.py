@@ -26,9 +26,9 @@ class Orthogonal:
 
     points (n, 3) m; pixels (n, 2); sigma (n, 2, 2) px^2, covariance of each measurement, control included. The
     adjustment weighs orthogonal coordinates alike but for each point's mean variance, as the papers do.
-    form: "depth" holds for every attitude, "printed" is the papers' own (12) and (19) with the mean
-    height. recentre: turn the bundle to its mean ray first. frozen: the approximate orientation whose transformation is kept (one pass); None transforms again at every iteration, from
-    parallel rays in the first (row 0), until nothing changes. accelerated: aim each step at the fixed point with the
+    form: "depth" holds for every attitude, "printed" is the papers' own (12) and (19) with the mean height.
+    recentre: turn the bundle to its mean ray first. frozen: the approximate orientation whose transformation is kept
+    (one pass); None transforms again at every iteration, from parallel rays in the first (row 0), until nothing changes. accelerated: aim each step at the fixed point with the
     known contraction (Newton), for geometries in which plain repetition runs away from it; the fixed point is the same.
     """
 
