@@ -41,10 +41,11 @@ class Row:
             cure = f"; {SAVE}" if NUMBER.fullmatch(value.replace(",", ".")) else "; correct the cell or leave it empty if it is unknown"
             raise self.error(f"{column} is '{value}', expected {expected}{cure}")
         number = float(value)
-        low = lowest is not None and number < lowest or above is not None and number <= above
-        if low or number - number != 0:
-            bound = f", {'at least' if above is None else 'more than'} {lowest if above is None else above:g}"
-            raise self.error(f"{column} is {value}, expected {expected}{bound if low else ''}; correct it")
+        if number in (float("inf"), -float("inf")):
+            raise self.error(f"{column} is {value}, expected {expected}; correct it")
+        if lowest is not None and number < lowest or above is not None and number <= above:
+            bound = f"at least {lowest:g}" if lowest is not None else f"more than {above:g}"
+            raise self.error(f"{column} is {value}, expected {expected}, {bound}; correct it")
         return number
 
     def required(self, column: str, expected: str) -> float:

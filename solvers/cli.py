@@ -1,0 +1,258 @@
+"""The command `collinea`: arguments -> workflow -> exit code (0 done, 1 cannot, 2 usage)."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from .errors import PhotogrammetryError
+
+PROG = "collinea"
+
+
+class Parser(argparse.ArgumentParser):
+    """argparse that says what is wrong in one sentence."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{PROG}: {message}; see {self.prog} --help\n")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; every error becomes one sentence on standard error."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    if not words or (words[0].startswith("-") and words[0] not in ("-h", "--help", "--version")):
+        words = ["demo", *words]
+    args = None
+    try:
+        args = parser().parse_args(words)
+        code = args.run(args)
+        sys.stdout.flush()
+        return code
+    except SystemExit as stop:  # argparse: help, version, usage
+        return stop.code if isinstance(stop.code, int) else 0
+    except PhotogrammetryError as error:
+        return _cannot(str(error))
+    except KeyboardInterrupt:
+        return _cannot("stopped by Ctrl+C")
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # nothing more can be written there, not even at exit
+        return _cannot("the output was closed before it was complete")
+    except OSError as error:
+        return _cannot(f"{error.filename or 'input or output'}: {error.strerror or error}; check the path, its permissions and the space left")
+    except MemoryError:
+        return _cannot("the memory is not enough; close other programs or give fewer or smaller photos")
+    except Exception as error:
+        return _unexpected(error, getattr(args, "project", None))
+
+
+def parser() -> Parser:
+    """All commands and their options."""
+    top = Parser(PROG, description="See how an image finds its place: exterior orientation, step by step in the browser.",
+                 epilog="Without a command the viewer opens on the demo project.")
+    top.add_argument("--version", action="version", version=f"{PROG} {_version()}")
+    commands = top.add_subparsers(metavar="COMMAND", required=True, parser_class=Parser)
+
+    demo = _command(commands, "demo", _demo, "open the viewer on the demo project")
+    _viewer_options(demo)
+
+    init = _command(commands, "init", _init, "make a project from photos and a list of control points")
+    init.add_argument("files", nargs="+", metavar="FILE", help="photos (or folders of photos) and one GCPS.csv or gcp_list.txt")
+    init.add_argument("-o", "--output", required=True, metavar="PROJECT", help="folder of the new project")
+    init.add_argument("--map", metavar="MAP", help="columns of the list by name or number: name=ID,X=East,Y=North,Z=H[,image=..,col=..,row=..]")
+    init.add_argument("--crs", help="coordinate system of the project: EPSG:CODE or local")
+    init.add_argument("--pixel-origin", choices=("center", "corner"), help="what pixel (0, 0) of the list is, of the top-left pixel")
+    init.add_argument("--pixel-um", type=_positive, metavar="P", help="pixel size in micrometres, where EXIF does not tell it")
+    init.add_argument("--c-mm", type=_positive, metavar="C", help="principal distance in mm, where EXIF does not tell it")
+
+    view = _command(commands, "view", _view, "open a project in the viewer")
+    view.add_argument("project", metavar="PROJECT")
+    _viewer_options(view)
+
+    resect = _command(commands, "resect", _resect, "orient images by their control points, one by one")
+    resect.add_argument("project", metavar="PROJECT")
+    resect.add_argument("--image", action="extend", nargs="+", default=[], metavar="N", help="only these images (default: all)")
+    resect.add_argument("--model", choices=("perspective", "orthogonal", "both"), default="both")
+    resect.add_argument("--points", type=_names, metavar="A,B,C", help="only these control points (default: all of the image)")
+    resect.add_argument("--robust", action="store_true", help="find and leave out blunders")
+    resect.add_argument("--prior", choices=("none", "initial", "weighted"), default="none", help="use of the images' priors (default: none)")
+    resect.add_argument("--one-pass", action="store_true", help="orthogonal: one pass from the prior as approximate orientation")
+    resect.add_argument("--form", choices=("depth", "printed"), default="depth", help="orthogonal: form of the exterior orientation (default: depth)")
+    resect.add_argument("--recentre", choices=("on", "off"), default="on", help="orthogonal: re-centred bundle (default: on)")
+    resect.add_argument("--free", type=_names, default=(), metavar="c,xp,yp,k1,...", help="perspective: interior parameters to adjust")
+
+    simulate = _command(commands, "simulate", _simulate, "make a project with known truth")
+    simulate.add_argument("kind", metavar="KIND", choices=("uav_cluster",), help="uav_cluster")
+    simulate.add_argument("-o", "--output", required=True, metavar="FOLDER")
+    simulate.add_argument("--seed", type=int, default=0, help="of the random numbers (default: 0)")
+    simulate.add_argument("--reduction", type=int, choices=range(1, 17), default=4, metavar="N", help="photos N times smaller (default: 4)")
+
+    log = _command(commands, "log", _log, "open the recording of a run in rerun's web viewer on 127.0.0.1")
+    log.add_argument("project", metavar="PROJECT|RUN")
+    log.add_argument("--no-browser", action="store_true", help="only print the address")
+    return top
+
+
+# -- commands -------------------------------------------------------------------------------------------------------------
+
+
+def _demo(args: argparse.Namespace) -> int:
+    from .io import demo_copy
+
+    return _open_viewer(args, demo_copy())
+
+
+def _view(args: argparse.Namespace) -> int:
+    from .io import read_project
+
+    folder = Path(args.project)
+    read_project(folder)
+    return _open_viewer(args, folder)
+
+
+def _open_viewer(args: argparse.Namespace, folder: Path) -> int:
+    from viewer_app.app import run
+
+    _emit(args, {"project": str(folder), "host": args.host, "port": args.port}, "")
+    run(folder, host=args.host, port=args.port, open_browser=not args.no_browser, token=args.token)
+    return 0
+
+
+def _init(args: argparse.Namespace) -> int:
+    from .workflows import init_project
+
+    ask = _ask if sys.stdin.isatty() and sys.stderr.isatty() else None
+    made = init_project(args.files, args.output, mapping=args.map, project_crs=args.crs, pixel_origin=args.pixel_origin,
+                        pixel_um=args.pixel_um, c_mm=args.c_mm, ask=ask)
+    block = made.block
+    text = "\n".join([*made.notes, f"{made.folder}: {len(block.images)} images, {len(block.points)} points, "
+                                   f"{len(block.observations)} observations in {block.crs}",
+                      f"next: {PROG} view {made.folder}"])
+    return _emit(args, made.to_json(), text)
+
+
+def _resect(args: argparse.Namespace) -> int:
+    from viewer_app.paint_rerun import record
+
+    from .report import resection_text
+    from .workflows import MODELS, resect_project
+
+    models = MODELS if args.model == "both" else (args.model,)
+    done = resect_project(args.project, args.image, models, record, points=args.points, robust=args.robust, prior=args.prior,
+                          one_pass=args.one_pass, form=args.form, recentre=args.recentre == "on", free=args.free)
+    _emit(args, done.to_json(), resection_text(done))
+    if not done.failed:
+        return 0
+    first, total = done.failed[0], len(done.failed) + len(done.orientations)
+    return _cannot(f"{len(done.failed)} of {total} orientations cannot be computed, the first by the {first.model} model: {first.why}")
+
+
+def _simulate(args: argparse.Namespace) -> int:
+    from .workflows import simulate_project
+
+    block = simulate_project(args.kind, args.output, seed=args.seed, reduction=args.reduction)
+    value = {"project": args.output, "kind": args.kind, "seed": args.seed, "images": [i.name for i in block.images],
+             "points": len(block.points), "observations": len(block.observations)}
+    return _emit(args, value, f"{args.output}: {len(block.images)} images, {len(block.points)} points\nnext: {PROG} view {args.output}")
+
+
+def _log(args: argparse.Namespace) -> int:
+    from viewer_app.rerun_server import open_log
+
+    from .workflows import recording_of
+
+    recording = recording_of(args.project)
+    _emit(args, {"recording": str(recording)}, "")
+    open_log(recording, open_browser=not args.no_browser)
+    return 0
+
+
+# -- shared -----------------------------------------------------------------------------------------------------------------
+
+
+def _command(commands: Any, name: str, run: Callable[[argparse.Namespace], int], what: str) -> Parser:
+    command = commands.add_parser(name, help=what, description=what[0].upper() + what[1:] + ".")
+    command.add_argument("--json", metavar="FILE", help="write the result as JSON to FILE, or - for standard output")
+    command.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    command.set_defaults(run=run)
+    return command
+
+
+def _viewer_options(command: Parser) -> None:
+    command.add_argument("--host", default="127.0.0.1", help="address to listen on (default: 127.0.0.1)")
+    command.add_argument("--port", type=int, default=0, help="port to listen on (default: a free one)")
+    command.add_argument("--no-browser", action="store_true", help="only print the address")
+    command.add_argument("--token", help="a word that visitors must know (default: a new one)")
+
+
+def _emit(args: argparse.Namespace, value: Any, text: str) -> int:
+    """Write the JSON where it is wanted, and the text unless quiet or in the way of the JSON."""
+    import json
+
+    from .io import jsonable, write_json
+
+    if args.json == "-":
+        print(json.dumps(jsonable(value), indent=1, allow_nan=False, ensure_ascii=False), flush=True)
+        return 0
+    if args.json:
+        write_json(Path(args.json), value)
+    if text and not args.quiet:
+        print(text, flush=True)
+    return 0
+
+
+def _ask(question: str) -> str:
+    """Ask the person at the terminal; the question goes to standard error, so that JSON on standard output stays clean."""
+    print(question, end="", file=sys.stderr, flush=True)
+    try:
+        return input()
+    except EOFError:
+        return ""
+
+
+def _cannot(message: str) -> int:
+    print(f"{PROG}: {' '.join(message.split())}", file=sys.stderr)
+    return 1
+
+
+def _unexpected(error: Exception, project: str | None) -> int:
+    """One sentence for what nobody foresaw; its traceback goes to a file."""
+    import tempfile
+    import traceback
+
+    runs = Path(project) / "runs" if project else None
+    folder = runs if runs is not None and runs.is_dir() and os.access(runs, os.W_OK) else None
+    handle, path = tempfile.mkstemp(prefix=f"{PROG}-error-", suffix=".log", dir=folder)
+    with os.fdopen(handle, "w", encoding="utf-8") as stream:
+        stream.write(" ".join([PROG, *sys.argv[1:]]) + "\n" + "".join(traceback.format_exception(error)))
+    return _cannot(f"something unforeseen happened ({type(error).__name__}: {error}); please report it with {path}")
+
+
+def _names(text: str) -> tuple[str, ...]:
+    names = tuple(n.strip() for n in text.split(",") if n.strip())
+    if not names:
+        raise argparse.ArgumentTypeError("expected names separated by commas")
+    return names
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"'{text}' is not a positive number")
+    return value
+
+
+def _version() -> str:
+    from . import __version__
+
+    return __version__
+
+
+if __name__ == "__main__":
+    sys.exit(main())
