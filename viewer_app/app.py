@@ -1,0 +1,247 @@
+"""Wiring and the one loop: event -> action -> update -> state -> scene -> painter. Only the loop changes the state."""
+
+from __future__ import annotations
+
+import logging
+import queue
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import viser
+
+from solvers import PhotogrammetryError, Unsupported
+
+from . import export
+from .actions import Action, Aim, ChooseImage, GoTo, Say, SwitchPoint, Tick, update
+from .bridge import LOCAL_HOSTS, Wire, open_server
+from .home import home
+from .jobs import Jobs
+from .loading import bring, crop, open_project
+from .paint_viser import Painter
+from .panels.orientation import OrientationPanel
+from .panels.photo import PhotoPanel, magnified, nudged
+from .panels.project import ProjectPanel, ScenePanel
+from .panels.trace import TracePanel
+from .picking import pick
+from .panels.rerun import RerunPanel
+from .scene import scene
+from .state import MODELS, State, wanted
+from .theme import PERSPECTIVE
+
+PICK_PIXELS = 12.0
+"""How far from a point's middle a click still means it, pixels of the screen."""
+LATENCIES = 200
+
+
+class App:
+    """A viewer on one project. port: where it answers; state: what it shows; settled(): whether nothing is left to solve.
+
+    latencies: seconds from taking an action to having sent the scene it led to, newest last.
+    """
+
+    def __init__(self, folder: Path | str | State, *, host: str = "127.0.0.1", port: int = 0, token: str | None = None) -> None:
+        if host not in LOCAL_HOSTS | {"::1"} and not token:
+            raise Unsupported(f"host {host} would open the project to other machines; give a token as well (--token WORD)")
+        self._state = folder if isinstance(folder, State) else open_project(folder)
+        self._actions: queue.Queue[Action | None] = queue.Queue()
+        self.latencies: list[float] = []
+        self.server = open_server(host, port, token)
+        self.port = self.server.get_port()
+        self.url = f"http://{host}:{self.port}/" + (f"?token={token}" if token else "")
+        self._jobs = Jobs(self.emit)
+        self._painter = Painter(self.server)
+        self._panels: list[Any] = []
+        self._build()
+        self._closed = threading.Event()
+        self._paint()
+        self._loop = threading.Thread(target=self._run, name="collinea-loop", daemon=True)
+        self._reader = threading.Thread(target=self._read, name="collinea-reader", daemon=True)
+        self._loop.start()
+        self._reader.start()
+
+    @property
+    def state(self) -> State:
+        return self._state
+
+    def emit(self, action: Action) -> None:
+        """Hand an action to the loop; from any thread."""
+        self._actions.put(action)
+
+    def settled(self) -> bool:
+        """Whether every action was taken, everything read and nothing is left to solve."""
+        return self._actions.unfinished_tasks == 0 and not self._reader.is_alive() and not wanted(self._state)
+
+    def close(self) -> None:
+        self._closed.set()
+        self._actions.put(None)
+        self._loop.join(timeout=10)
+        self._jobs.close()
+        self._rerun.close()
+        self.server.stop()
+
+    def __enter__(self) -> App:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    # -- the loop
+
+    def _run(self) -> None:
+        while not self._closed.is_set():
+            taken = self._take()
+            began = time.perf_counter()
+            for action in taken:
+                try:
+                    self._state = update(self._state, action)
+                except Exception as error:
+                    logging.getLogger("collinea").exception("%s", action)
+                    self._state = update(self._state, Say(f"{type(action).__name__} could not be done: {error}"))
+            if taken:
+                self._paint()
+                self.latencies = [*self.latencies, time.perf_counter() - began][-LATENCIES:]
+            for _ in taken:
+                self._actions.task_done()
+
+    def _take(self) -> list[Action]:
+        """All actions that wait; the clock's tick where it plays and nothing happens."""
+        playing = self._state.playing
+        try:
+            first = self._actions.get(timeout=1 / self._state.speed if playing else None)
+        except queue.Empty:
+            self._actions.put(Tick())
+            return []
+        taken: list[Action | None] = [first]
+        with suppress(queue.Empty):
+            while True:
+                taken.append(self._actions.get_nowait())
+        return [a for a in taken if a is not None]
+
+    def _paint(self) -> None:
+        """Ask for what is missing, then show the state: scene and panels in one block."""
+        state = self._state
+        self._jobs.want(wanted(state))
+        with self.server.atomic():
+            self._painter.paint(scene(state))
+            for panel in self._panels:
+                panel.draw(state)
+            self._theme(state.view.dark)
+        self.server.flush()
+
+    def _read(self) -> None:
+        for action in bring(self._state):
+            if self._closed.is_set():
+                return
+            self.emit(action)
+
+    # -- wiring
+
+    def _build(self) -> None:
+        server, gui = self.server, self.server.gui
+        server.scene.set_up_direction("+z")
+        server.scene.world_axes.visible = False
+        camera = server.initial_camera
+        camera.position, camera.look_at, camera.far = home(self._state)
+        camera.near, camera.fov = camera.far / 20000, np.radians(45)
+        self._dark: bool | None = None
+        gui.set_panel_label("Collinea")
+        self._wire = Wire(server, self._heard)
+        self._rerun = RerunPanel(gui, self.emit, lambda: self._state)
+        self._tabs(gui)
+        server.scene.on_click()(self._clicked)
+
+    def _tabs(self, gui: viser.GuiApi) -> None:
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("Orientation", viser.Icon.CAMERA):
+            self._panels.append(OrientationPanel(gui, self.emit, self._wire, self._state))
+            with gui.add_folder("Scene", expand_by_default=False):
+                self._panels.append(ScenePanel(gui, self.emit))
+        with tabs.add_tab("Project", viser.Icon.FOLDER):
+            self._panels.append(ProjectPanel(gui, self.emit, self._wire, self._ways()))
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(410)
+        below = gui.add_panel()
+        with below.add_tab("Iterations", viser.Icon.CHART_LINE):
+            self._panels.append(TracePanel(gui, self.emit, self._wire))
+        with below.add_tab("Photo", viser.Icon.PHOTO):
+            self._panels.append(PhotoPanel(gui, self.emit, self._wire, crop))
+        below.float(x=12, y=-12, width=430)
+
+    def _ways(self) -> dict[str, tuple[str, Callable[[viser.ClientHandle | None], None]]]:
+        return {
+            "Open in rerun": ("The run of every image with rerun's own timeline, in a panel beside the scene.", self._rerun.open),
+            "Save project": ("Write points, observations and project.toml into the project folder.", self._save),
+            "Scene as GLB": ("Download what is shown as binary glTF, in metres of the scene's origin.", lambda c: self._download(c, "glb")),
+            "Scene as PLY": ("Download terrain, planes and frustums as one coloured mesh.", lambda c: self._download(c, "ply")),
+        }
+
+    def _theme(self, dark: bool) -> None:
+        if dark != self._dark:
+            self._dark = dark
+            self.server.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False, brand_color=PERSPECTIVE)
+
+    def _heard(self, kind: str, value: Any) -> None:
+        """What came through the wire; anyone who can open the page can send anything, so it is checked again."""
+        state = self._state
+        if kind == "point" and isinstance(value, str):
+            self.emit(SwitchPoint(value))
+        elif kind == "image" and isinstance(value, str):
+            self.emit(ChooseImage(value))
+        elif kind == "row" and isinstance(value, str) and value.isdecimal() and len(value) < 7:
+            self.emit(GoTo(int(value)))
+        elif kind == "nudge" and isinstance(value, str):
+            if (at := nudged(state, state.assets.photos.get(state.image), value)) is not None:
+                self.emit(Aim(*at))
+        elif kind == "photo" and isinstance(value, tuple) and state.block.images:
+            camera = state.block.camera_of(state.image)
+            self.emit(Aim(value[0] * camera.width - 0.5, value[1] * camera.height - 0.5))
+        elif kind == "magnifier" and isinstance(value, tuple) and state.mark is not None and state.image in state.assets.photos:
+            self.emit(Aim(*magnified(state, state.assets.photos[state.image], *value)))
+
+    async def _clicked(self, event: viser.SceneClickEvent) -> None:
+        camera = event.client.camera
+        tolerance = PICK_PIXELS * camera.fov / max(camera.image_height, 1)
+        action = pick(self._state, np.array(event.ray_origin), np.array(event.ray_direction), tolerance)
+        if action is not None:
+            self.emit(action)
+
+    def _save(self, client: viser.ClientHandle | None) -> None:
+        from solvers.io import write_project
+
+        state = self._state
+        if state.assets.folder is None:
+            self.emit(Say("This project has no folder; open one with collinea view PROJECT."))
+            return
+        try:
+            write_project(state.block, state.assets.folder)
+        except (PhotogrammetryError, OSError) as error:
+            self.emit(Say(f"The project was not saved: {error}"))
+            return
+        self.emit(Say(f"Saved in {state.assets.folder}."))
+
+    def _download(self, client: viser.ClientHandle | None, kind: str) -> None:
+        if client is None:
+            return
+        data = (export.glb if kind == "glb" else export.ply)(scene(self._state))
+        name = "".join(c if c.isalnum() or c in "-_" else "_" for c in self._state.block.name) or "scene"
+        client.send_file_download(f"{name}.{kind}", data)
+
+
+def run(folder: Path | str, *, host: str = "127.0.0.1", port: int = 0, open_browser: bool = True, token: str | None = None) -> None:
+    """Open a project in the browser and serve until interrupted (Ctrl+C). Raises BadProject, BadTable, Unsupported."""
+    with App(folder, host=host, port=port, token=token) as app:
+        print(f"Collinea shows {app.state.block.name} at {app.url} (Ctrl+C ends it)", flush=True)
+        if open_browser:
+            import webbrowser
+
+            webbrowser.open(app.url)
+        with suppress(KeyboardInterrupt):
+            threading.Event().wait()
+
+
+__all__ = ["MODELS", "App", "run"]

@@ -1,0 +1,178 @@
+"""All that leans on viser's private parts: who may connect, and HTML that calls back. Checked against one version of viser.
+
+Where the version is another one, `Wire.works` is False and tables are plain text: everything they do has an ordinary control too.
+"""
+
+from __future__ import annotations
+
+import html
+import json
+import secrets
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from http import HTTPStatus
+from typing import Any
+
+import viser
+
+from solvers import Unsupported
+
+KNOWN = "1.1."
+"""The versions of viser this file was written for."""
+
+LOCAL_HOSTS = frozenset({"127.0.0.1", "localhost", "[::1]"})
+LIMIT = 2000
+"""Longest message a wire takes, characters."""
+
+
+def known_version() -> bool:
+    return viser.__version__.startswith(KNOWN)
+
+
+class Server(viser.ViserServer):
+    """viser's server, which never opens a public tunnel, whoever asks."""
+
+    def request_share_url(self, verbose: bool = True) -> None:
+        return None
+
+
+def open_server(host: str = "127.0.0.1", port: int = 0, token: str | None = None) -> viser.ViserServer:
+    """A server that answers its own pages only: the Host header must be known, the Origin the same, and the token right if there is one.
+
+    Raises Unsupported where viser is another version and a host beyond this machine is asked for: then nothing would guard it.
+    """
+    remote = host not in LOCAL_HOSTS | {"::1"}
+    if not known_version():
+        if remote or token:
+            raise Unsupported(f"viser {viser.__version__} cannot be guarded; install viser 1.1 to open the viewer to other machines")
+        return Server(host=host, port=port, verbose=False)
+    hosts = None if remote else LOCAL_HOSTS
+    with _guarded(token, hosts):
+        return Server(host=host, port=port, verbose=False)
+
+
+@contextmanager
+def _guarded(token: str | None, hosts: frozenset[str] | None) -> Iterator[None]:
+    """While a server is made, its requests are checked first: viser has no hook for that. hosts None: any host, the token guards."""
+    import viser.infra._infra as infra
+
+    asyncio_server: Any = infra.websockets.asyncio.server
+    real = asyncio_server.serve
+
+    def serve(handler: Any, host: str, port: int, **options: Any) -> Any:
+        inner = options["process_request"]
+
+        def check(connection: Any, request: Any) -> Any:
+            refusal = refuse(dict(request.headers.raw_items()), request.path, token, hosts)
+            if refusal is not None:
+                return _response(*refusal)
+            answer = inner(connection, request)
+            if answer is not None:
+                if token is not None:
+                    answer.headers["Set-Cookie"] = f"collinea={token}; HttpOnly; SameSite=Strict; Path=/"
+                answer.headers["X-Content-Type-Options"] = "nosniff"
+                answer.headers["Referrer-Policy"] = "no-referrer"
+                answer.headers["X-Frame-Options"] = "SAMEORIGIN"
+            return answer
+
+        return real(handler, host, port, **{**options, "process_request": check})
+
+    asyncio_server.serve = serve
+    try:
+        yield
+    finally:
+        asyncio_server.serve = real
+
+
+def refuse(headers: dict[str, str], path: str, token: str | None, hosts: frozenset[str] | None) -> tuple[HTTPStatus, str] | None:
+    """Why a request is refused, None where it is welcome."""
+    said = {name.lower(): value for name, value in headers.items()}
+    netloc = said.get("host", "")
+    if hosts is not None and (netloc.rpartition(":")[0] or netloc) not in hosts:  # a name rebound to this machine
+        return HTTPStatus.MISDIRECTED_REQUEST, "wrong host"
+    if "origin" in said and said["origin"] not in (f"http://{netloc}", f"https://{netloc}"):
+        return HTTPStatus.FORBIDDEN, "wrong origin"
+    if token is not None:
+        shown = [c.strip().removeprefix("collinea=") for c in said.get("cookie", "").split(";") if c.strip().startswith("collinea=")]
+        shown += [q.removeprefix("token=") for q in path.partition("?")[2].split("&") if q.startswith("token=")]
+        if not any(secrets.compare_digest(c.encode(), token.encode()) for c in shown):
+            return HTTPStatus.FORBIDDEN, "open the address printed in the terminal"
+    return None
+
+
+def _response(status: HTTPStatus, why: str) -> Any:
+    from websockets.datastructures import Headers
+    from websockets.http11 import Response
+
+    return Response(status, status.phrase, Headers({"Content-Type": "text/plain"}), why.encode())
+
+
+class Wire:
+    """HTML that calls Python: elements made with `attributes` send (kind, value) when clicked or activated by keyboard."""
+
+    def __init__(self, server: viser.ViserServer, heard: Callable[[str, Any], None]) -> None:
+        self._heard = heard
+        self.works = known_version()
+        if not self.works:
+            return
+        box = server.gui.add_text("wire", "", visible=False)
+        box.on_update(self._update)
+        self._box = box
+        from viser import _messages
+
+        message = _messages.RunJavascriptMessage(source=SCRIPT.replace("UUID", json.dumps(box._impl.uuid)))
+        server._websock_server.queue_message(message)
+
+    async def _update(self, event: Any) -> None:
+        if event.client_id is None:
+            return
+        said = parse(str(self._box.value))
+        if said is not None:
+            self._heard(*said)
+
+    def attributes(self, kind: str, value: str, hint: str = "") -> str:
+        """HTML attributes that make an element a button."""
+        if not self.works:
+            return f'title="{html.escape(hint)}"' if hint else ""
+        return (f'tabindex="0" role="button" data-kind="{html.escape(kind)}" data-value="{html.escape(value)}" title="{html.escape(hint)}" '
+                'onclick="collinea.press(event)" onkeydown="collinea.key(event)" style="cursor:pointer"')
+
+    def surface(self, kind: str) -> str:
+        """HTML attributes of an element that says where it was clicked: value [u, v], 0..1 from its top left corner."""
+        if not self.works:
+            return ""
+        return f'data-kind="{html.escape(kind)}" onclick="collinea.point(event)" style="cursor:crosshair"'
+
+
+def parse(text: str) -> tuple[str, Any] | None:
+    """(kind, value) of a wire's message; None for anything else: whoever can send it may send what he likes."""
+    if len(text) > LIMIT:
+        return None
+    try:
+        said = json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+    if not (isinstance(said, list) and len(said) == 3 and isinstance(said[0], str)):
+        return None
+    kind, value = said[0], said[1]
+    if isinstance(value, str):
+        return kind, value
+    numbers = isinstance(value, list) and len(value) == 2 and all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in value)
+    return (kind, (float(value[0]), float(value[1]))) if numbers and all(0 <= v <= 1 for v in value) else None
+
+
+SCRIPT = """
+window.collinea = (() => {
+  let count = 0;
+  const send = (kind, value) => window.__viserMutable.sendMessage(
+    {type: 'GuiUpdateMessage', uuid: UUID, updates: {value: JSON.stringify([kind, value, Date.now() + '-' + count++])}});
+  const press = ev => { ev.stopPropagation(); const e = ev.currentTarget; send(e.dataset.kind, e.dataset.value); };
+  const key = ev => { if (ev.key === 'Enter' || ev.key === ' ') { ev.preventDefault(); press(ev); } };
+  const point = ev => {
+    const e = ev.currentTarget, r = e.getBoundingClientRect();
+    const clamp = t => Math.min(1, Math.max(0, t));
+    send(e.dataset.kind, [clamp((ev.clientX - r.left) / r.width), clamp((ev.clientY - r.top) / r.height)]);
+  };
+  return {press, key, point};
+})();
+"""

@@ -1,0 +1,79 @@
+"""Scene values -> GLB or PLY by trimesh: terrain and everything else that has a place, colours as in the legend."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from .values import Ellipsoid, Frustum, Mesh, Plane, PointCloud, Scene, Segments, Value
+
+
+def frustum_corners(value: Frustum) -> np.ndarray:
+    """The four corners (4, 3) of a frustum's image plane: top left, top right, bottom right, bottom left of the photo."""
+    y = value.depth * np.tan(value.fov / 2)
+    x = y * value.aspect
+    camera = np.array([[-x, y, -value.depth], [x, y, -value.depth], [x, -y, -value.depth], [-x, -y, -value.depth]])
+    return camera @ value.exterior.m + value.exterior.centre
+
+
+def glb(scene: Scene) -> bytes:
+    """The scene as binary glTF, every entity a node under its own path."""
+    return bytes(_collect(scene).export(file_type="glb"))
+
+
+def ply(scene: Scene) -> bytes:
+    """Terrain, planes, ellipsoids and frustums as one coloured triangle mesh."""
+    import trimesh
+
+    meshes = [m for value in scene.values() if (m := _triangles(value)) is not None]
+    return bytes(trimesh.util.concatenate(meshes).export(file_type="ply"))
+
+
+def _collect(scene: Scene) -> Any:
+    import trimesh
+
+    out = trimesh.Scene()
+    for path, value in scene.items():
+        lines = _lines(value)
+        for kind, geometry in (("", _triangles(value)), ("/lines", lines)):
+            if geometry is not None:
+                out.add_geometry(geometry, node_name=path + kind, geom_name=path + kind)
+    return out
+
+
+def _triangles(value: Value) -> Any:
+    import trimesh
+
+    if isinstance(value, Mesh):
+        return trimesh.Trimesh(value.vertices, value.faces, vertex_colors=value.colours, process=False)
+    if isinstance(value, Plane):
+        return _painted(value.corners, [[0, 1, 2], [0, 2, 3]], value.colour, value.opacity)
+    if isinstance(value, Ellipsoid):
+        ball = trimesh.creation.icosphere(subdivisions=3)
+        return _painted((ball.vertices * value.radii) @ value.axes.T + value.centre, ball.faces, value.colour, value.opacity)
+    if isinstance(value, Frustum):
+        faces = [[0, 2, 1], [0, 3, 2], [0, 4, 3], [0, 1, 4], [1, 2, 3], [1, 3, 4]]
+        return _painted(np.vstack([value.exterior.centre, frustum_corners(value)]), faces, value.colour, 0.35)
+    return None
+
+
+def _painted(vertices: Any, faces: Any, colour: tuple[int, int, int], opacity: float) -> Any:
+    import trimesh
+
+    rgba = np.tile(np.array([*colour, round(255 * opacity)], np.uint8), (len(vertices), 1))
+    return trimesh.Trimesh(vertices, faces, vertex_colors=rgba, process=False)
+
+
+def _lines(value: Value) -> Any:
+    from trimesh import PointCloud as Cloud
+    from trimesh.path import Path3D
+    from trimesh.path.entities import Line
+
+    if isinstance(value, PointCloud):
+        return Cloud(value.points, colors=value.colours)
+    if isinstance(value, Segments) and len(value.points):
+        colour = np.array([*value.colour, 255], np.uint8)
+        entities = [Line([2 * i, 2 * i + 1], color=colour) for i in range(len(value.points))]
+        return Path3D(entities=entities, vertices=value.points.reshape(-1, 3), process=False)
+    return None

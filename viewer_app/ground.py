@@ -1,0 +1,136 @@
+"""The ground of the scene, pure: terrain or plane, grid, north arrow, scale bar, and the ground control points."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from . import theme
+from .state import State
+from .values import Label, Mesh, Plane, Scene, Segments
+
+
+def nice(value: float) -> float:
+    """The largest of 1, 2, 5 times a power of ten that is not above value (> 0)."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(max(f * power for f in (1, 2, 5) if f * power <= value * (1 + 1e-9)))
+
+
+def site(state: State) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (3,) low and high of the known points (and the terrain) in the local frame."""
+    xyz = state.assets.frame.to_local(state.block.points.xyz)
+    xyz = xyz[np.isfinite(xyz).all(axis=1)]
+    terrain = state.assets.terrain
+    if terrain is not None:
+        xyz = np.vstack([xyz, terrain.vertices.min(axis=0), terrain.vertices.max(axis=0)])
+    if not len(xyz):
+        return np.full(3, -10.0), np.full(3, 10.0)
+    low, high = xyz.min(axis=0), xyz.max(axis=0)
+    room = np.array([1.0, 1.0, 0.0]) * max(float((high - low)[:2].max()) * 0.06, 1e-3)
+    return low - room, high + room
+
+
+def ground(state: State) -> Scene:
+    """Terrain or a plane at the mean height of the points, a grid in metres, north and a scale bar."""
+    low, high = site(state)
+    span = float((high - low)[:2].max())
+    cell = nice(span / 8)
+    found: Scene = {}
+    terrain = state.assets.terrain
+    level = low[2] - 0.01 * span
+    if terrain is None:
+        xyz = state.assets.frame.to_local(state.block.points.xyz)
+        heights = xyz[np.isfinite(xyz).all(axis=1), 2]
+        given = state.assets.level
+        level = given if given is not None else float(heights.mean()) if len(heights) else 0.0
+    x0, y0 = np.floor(low[:2] / cell) * cell
+    x1, y1 = np.ceil(high[:2] / cell) * cell
+    if state.view.terrain:
+        if terrain is not None:
+            found["/ground/terrain"] = Mesh(terrain.vertices, terrain.faces, terrain.colours)
+        else:
+            corners = np.array([[x0, y0, level], [x1, y0, level], [x1, y1, level], [x0, y1, level]])
+            found["/ground/plane"] = Plane(corners, theme.INITIAL, 0.12)
+    fine = (70, 74, 80) if state.view.dark else (208, 212, 216)
+    found["/ground/grid"] = Segments(_grid(x0, x1, y0, y1, cell, level), fine, 1.0)
+    return found | _north(state, x0, x1, y0, y1, level, cell)
+
+
+def _grid(x0: float, x1: float, y0: float, y1: float, cell: float, z: float) -> np.ndarray:
+    along_y = [[(x, y0, z), (x, y1, z)] for x in np.arange(x0, x1 + cell / 2, cell)]
+    along_x = [[(x0, y, z), (x1, y, z)] for y in np.arange(y0, y1 + cell / 2, cell)]
+    return np.array(along_y + along_x)
+
+
+def _north(state: State, x0: float, x1: float, y0: float, y1: float, z: float, cell: float) -> Scene:
+    ink = theme.foreground(state.view.dark)
+    x, tip, head = x1 + 0.6 * cell, y1, 0.25 * cell
+    foot = tip - 1.6 * cell
+    arrow = np.array([[(x, foot, z), (x, tip, z)], [(x, tip, z), (x - head, tip - 1.6 * head, z)],
+                      [(x, tip, z), (x + head, tip - 1.6 * head, z)], [(x - head, foot, z), (x + head, foot, z)]])
+    y, tick = y0 - 0.5 * cell, 0.15 * cell
+    bar = np.array([[(x0, y, z), (x0 + cell, y, z)], *([[(x0 + d, y - tick, z), (x0 + d, y + tick, z)] for d in (0, cell)])])
+    found: Scene = {"/ground/north": Segments(arrow, ink, 2.5), "/ground/scale": Segments(bar, ink, 2.5)}
+    if state.view.labels:
+        found["/ground/north_label"] = Label("N", np.array([x, tip + 0.35 * cell, z]), 1.3)
+        found["/ground/scale_label"] = Label(scales(state, cell), np.array([x0 + 1.15 * cell, y, z]))
+    return found
+
+
+def scales(state: State, cell: float) -> str:
+    """The scale bar in words, with every exaggeration that is drawn."""
+    view = state.view
+    words = [f"{cell:g} m"]
+    if view.residuals:
+        words.append(f"residuals × {view.vectors:g}")
+    if view.ellipsoids:
+        words.append(f"95 % ellipsoids × {view.ellipsoid:g}")
+    return ", ".join(words)
+
+
+def symbol_size(state: State) -> float:
+    """Radius (m) of a point's symbol: a little of the site, less where points stand close together."""
+    xyz = state.assets.frame.to_local(state.block.points.xyz)
+    xyz = xyz[np.isfinite(xyz).all(axis=1)]
+    low, high = site(state)
+    size = 0.013 * float((high - low)[:2].max())
+    if 2 <= len(xyz) <= 2000:
+        from scipy.spatial import cKDTree
+
+        nearest = np.asarray(cKDTree(xyz).query(xyz, k=2)[0])[:, 1]
+        size = min(size, max(0.35 * float(np.median(nearest)), 0.2 * size))
+    return size
+
+
+def points(state: State) -> Scene:
+    """Ground control: a cross in a circle (control) or a triangle (check); grey when off; the chosen one ringed."""
+    block, found = state.block, Scene()
+    xyz = state.assets.frame.to_local(block.points.xyz)
+    known = np.isfinite(xyz).all(axis=1)
+    off = np.array([n in state.work.off for n in block.points.names], bool)
+    role = np.array(block.points.role)
+    size = symbol_size(state)
+    for name, which, colour, corners in (("control", (role == "control") & ~off, theme.CONTROL, 24),
+                                         ("check", (role == "check") & ~off, theme.CHECK, 3),
+                                         ("off", off, theme.INITIAL, 24)):
+        at = xyz[known & which]
+        if len(at):
+            found[f"/points/{name}"] = Segments(_symbols(at, size, corners), colour, 3.0)
+    if state.point in block.points.names:
+        at = xyz[[block.point_index(state.point or "")]]
+        if np.isfinite(at).all():
+            found["/points/chosen"] = Segments(_symbols(at, 1.7 * size, 32)[3:], theme.foreground(state.view.dark), 3.0)
+    if state.view.labels:
+        for j in np.flatnonzero(known & (role != "tie")):
+            name = block.points.names[j]
+            found[f"/points/{name.replace('/', '_')}/label"] = Label(name, xyz[j] + [size, size, 0], 0.8)
+    return found
+
+
+def _symbols(at: np.ndarray, size: float, corners: int) -> np.ndarray:
+    """Segments of horizontal outlines of so many corners, and of crosses with a stem, around points (n, 3)."""
+    turn = np.pi / 2 + 2 * np.pi * np.arange(corners) / corners
+    ring = size * np.stack([np.cos(turn), np.sin(turn), np.zeros(corners)], axis=1)
+    outline = np.stack([ring, np.roll(ring, -1, axis=0)], axis=1)
+    cross = np.array([np.outer((-0.7, 0.7), axis) for axis in np.eye(3)]) * size
+    shape = np.concatenate([cross, outline])
+    return (at[:, None, None, :] + shape[None]).reshape(-1, 2, 3)

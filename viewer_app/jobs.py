@@ -1,0 +1,89 @@
+"""Solver work off the GUI's thread: rows come home as actions; cancel = stop asking for the next row."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+
+from solvers import PhotogrammetryError
+from solvers.adjustment import Trace, iterate
+from solvers.orientation import Request, advise, conclude, prepare
+
+from .actions import Action, Advised, Failed, Rows, Solved
+from .state import ADVICE, Job
+
+EVERY = 0.05
+"""Seconds between two looks at a running adjustment."""
+
+
+class Jobs:
+    """One worker that does what was last wanted, first things first."""
+
+    def __init__(self, emit: Callable[[Action], None]) -> None:
+        self._emit = emit
+        self._wanted: tuple[Job, ...] = ()
+        self._finished: set[tuple[str, str, int]] = set()
+        self._change = threading.Condition()
+        self._closed = False
+        self._thread = threading.Thread(target=self._work, name="collinea-jobs", daemon=True)
+        self._thread.start()
+
+    def want(self, jobs: tuple[Job, ...]) -> None:
+        """From now on only these; a running one that is not among them stops at its next row."""
+        with self._change:
+            self._wanted = jobs
+            self._finished &= {job.key for job in jobs}
+            self._change.notify()
+
+    def close(self) -> None:
+        with self._change:
+            self._wanted, self._closed = (), True
+            self._change.notify()
+        self._thread.join(timeout=10)
+
+    def _still(self, job: Job) -> bool:
+        with self._change:
+            return any(j.key == job.key for j in self._wanted)
+
+    def _next(self) -> Job | None:
+        with self._change:
+            while True:
+                if self._closed:
+                    return None
+                for job in self._wanted:
+                    if job.key not in self._finished:
+                        return job
+                self._change.wait()
+
+    def _work(self) -> None:
+        while (job := self._next()) is not None:
+            try:
+                done = self._run(job)
+            except PhotogrammetryError as error:
+                done = Failed(job, str(error))
+            except Exception as error:
+                logging.getLogger("collinea").exception("%s %s", job.image, job.model)
+                done = Failed(job, f"{job.image}: the work on '{job.model}' stopped with {type(error).__name__}: {error}; see the terminal")
+            if done is not None:
+                self._finished.add(job.key)
+                self._emit(done)
+
+    def _run(self, job: Job) -> Action | None:
+        if job.model == ADVICE:
+            return Advised(job, advise(job.block, job.image, job.points))
+        s = job.settings
+        request = Request(job.image, model=job.model, points=job.points, robust=s.robust, prior=s.prior, one_pass=s.one_pass, form=s.form,
+                          recentre=s.recentre)
+        start = prepare(job.block, request)
+        rows, shown = [], time.monotonic()
+        for row in iterate(start.problem, start.x0, start.options):
+            if not self._still(job):
+                return None
+            rows.append(row)
+            if time.monotonic() - shown > EVERY:
+                shown = time.monotonic()
+                self._emit(Rows(job, tuple(rows)))
+        orientation = conclude(start, Trace(tuple(rows), start.manifest))
+        return Solved(job, orientation.trace, orientation)

@@ -1,0 +1,135 @@
+"""A project folder -> the viewer's first state, and what takes longer to read: terrain and photos."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from solvers import Exterior, PhotogrammetryError
+from solvers.geometry import LocalFrame
+from solvers.io import read_project, read_truth
+
+from .actions import Brought, Say
+from .ground import nice
+from .state import Assets, Photo, State, Terrain, View, Work
+
+PANE, THUMBNAIL = 1100, 480
+"""Longer sides [px] of the pictures for the photo pane and the scene."""
+TERRAIN_CELLS = 160
+"""Longer side of the terrain mesh."""
+
+
+def open_project(folder: Path | str) -> State:
+    """The state a project opens with, read in a moment; what takes longer comes from `bring`. Raises BadProject, BadTable."""
+    folder = Path(folder)
+    block = read_project(folder)
+    frame = LocalFrame.around(block.points.xyz, block.crs, block.frame)
+    assets = Assets(folder, frame, level=_level(block.surface, frame), truth=_truth(read_truth(folder), frame))
+    return first_state(State(Work(block), assets, block.images[0].name if block.images else ""))
+
+
+def first_state(state: State) -> State:
+    """The state with exaggerations that make one pixel and a few centimetres visible at the size of this site."""
+    block = state.block
+    xyz = state.assets.frame.to_local(block.points.xyz)
+    xyz = xyz[np.isfinite(xyz).all(axis=1)]
+    seen = np.bincount(block.observations.image, minlength=len(block.images)) if len(block.images) else np.zeros(1)
+    image = block.images[int(np.argmax(seen))].name if block.images else ""
+    if not len(xyz) or not block.images:
+        return State(state.work, state.assets, image)
+    span = max(float(np.linalg.norm(np.ptp(xyz, axis=0)[:2])), 1e-3)
+    camera = block.camera_of(image)
+    ground_pixel = span / max(camera.width, camera.height)
+    vectors = nice(max(0.04 * span / (block.image_px * ground_pixel), 1.0))
+    photo = nice(max(0.02 * camera.width / block.image_px, 1.0))
+    return State(state.work, state.assets, image, View(vectors=vectors, photo_vectors=photo))
+
+
+def bring(state: State) -> Iterator[Brought | Say]:
+    """Terrain and photos, one after the other; what cannot be read is said and left out."""
+    folder = state.assets.folder
+    if folder is None:
+        return
+    file = state.block.surface.get("file")
+    if file:
+        try:
+            yield Brought(terrain(folder / str(file), state.assets.frame))
+        except PhotogrammetryError as error:
+            yield Say(str(error))
+    order = sorted(state.block.images, key=lambda image: image.name != state.image)
+    for image in order:
+        if image.file is not None:
+            try:
+                yield Brought(photo(folder, state.block, image.name), image.name)
+            except PhotogrammetryError as error:
+                yield Say(str(error))
+
+
+def photo(folder: Path, block: Any, image: str) -> Photo:
+    """The small pictures of a photo. Raises BadProject, Unsupported."""
+    from solvers.io.photos import photo_path, photo_size, thumbnail
+
+    path = photo_path(folder, block, image)
+    pane = thumbnail(path, PANE, folder / "runs" / ".thumbnails").pixels
+    step = -(-max(pane.shape[:2]) // THUMBNAIL)
+    h, w = (n - n % step for n in pane.shape[:2])
+    small = pane[:h, :w].reshape(h // step, step, w // step, step, 3).mean(axis=(1, 3)).astype(np.uint8)
+    return Photo(path, small, pane, photo_size(path))
+
+
+def crop(photo: Photo, format_size: tuple[int, int], col: float, row: float, half: int) -> tuple[np.ndarray, float, float]:
+    """File pixels (2 half + 1, 2 half + 1, 3) around a pixel of the full photo, and that pixel's place (x, y) in them, 0 = first centre.
+
+    The file may be the full photo reduced by a factor: full = (file + 0.5) * factor - 0.5.
+    """
+    from solvers.io.photos import photo_window
+
+    x, y = ((v + 0.5) * n / full - 0.5 for v, n, full in zip((col, row), photo.size, format_size, strict=True))
+    left, top = round(x) - half, round(y) - half
+    return photo_window(photo.path, left, top, 2 * half + 1, 2 * half + 1), x - left, y - top
+
+
+def terrain(path: Path, frame: LocalFrame) -> Terrain:
+    """The DEM as a mesh in calm colours: shaded from the north-west, tinted by height. Raises Unsupported, BadProject."""
+    from solvers.io.heights import read_heights
+
+    x, y, z = read_heights(path, TERRAIN_CELLS)
+    gx, gy = np.meshgrid(x, y)
+    known = np.isfinite(z)
+    flat = np.stack([gx, gy, np.where(known, z, 0.0)], axis=-1)
+    vertices = frame.to_local(flat.reshape(-1, 3))
+    index = np.arange(z.size).reshape(z.shape)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+    quads = np.stack([a, d, c, b], axis=-1)[known[:-1, :-1] & known[:-1, 1:] & known[1:, 1:] & known[1:, :-1]]
+    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    if (x[-1] > x[0]) != (y[-1] < y[0]):  # a grid that runs the other way would be seen from below
+        faces = faces[:, ::-1]
+    used = np.unique(faces)
+    place = np.full(len(vertices), -1)
+    place[used] = np.arange(len(used))
+    return Terrain(vertices[used], place[faces], _tint(x, y, z).reshape(-1, 3)[used])
+
+
+def _tint(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    z = np.where(np.isfinite(z), z, np.nanmean(z))
+    dy, dx = np.gradient(z, y, x)
+    light = np.array([-0.45, 0.45, 0.77])
+    normal = np.stack([-dx, -dy, np.ones_like(z)], axis=-1)
+    shade = np.clip((normal @ light) / np.linalg.norm(normal, axis=-1), 0.0, 1.0)[..., None]
+    t = ((z - z.min()) / max(float(np.ptp(z)), 1e-9))[..., None]
+    low, high = np.array([168.0, 184.0, 160.0]), np.array([222.0, 210.0, 184.0])
+    return np.clip((low + t * (high - low)) * (0.55 + 0.55 * shade), 0, 255).astype(np.uint8)
+
+
+def _level(surface: Any, frame: LocalFrame) -> float | None:
+    z = surface.get("z")
+    return None if z is None else float(frame.to_local(np.array([*frame.origin[:2], float(z)]))[2])
+
+
+def _truth(truth: dict[str, Any] | None, frame: LocalFrame) -> dict[str, Exterior]:
+    images = (truth or {}).get("images", {})
+    return {name: Exterior.from_angles(*np.radians([v["omega_deg"], v["phi_deg"], v["kappa_deg"]]),
+                                       frame.to_local(np.array([v["X"], v["Y"], v["Z"]], float))) for name, v in images.items()}

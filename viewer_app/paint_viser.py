@@ -1,0 +1,184 @@
+"""Scene values -> viser nodes. Only what changed since the last painting is sent, in one atomic block."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import viser
+import viser.transforms as tf
+
+from solvers import Exterior
+from solvers.geometry import to_opencv
+
+from .values import Ellipsoid, Frustum, Label, Mesh, Plane, PointCloud, Scene, Segments, Value
+
+
+class Painter:
+    """Keeps what the browsers show; `paint` makes it equal to a scene. sent: nodes touched by the last painting."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._server = server
+        self._shown: Scene = {}
+        self._nodes: dict[str, list[Any]] = {}
+        self.sent = 0
+
+    def paint(self, scene: Scene) -> None:
+        self.sent = 0
+        with self._server.atomic():
+            for path in [p for p in self._shown if p not in scene]:
+                self._remove(path)
+            for path, value in scene.items():
+                old = self._shown.get(path)
+                if old is value or (old is not None and equal(old, value)):
+                    continue
+                self.sent += 1
+                if old is None or type(old) is not type(value) or not self._change(path, old, value):
+                    self._remove(path)
+                    self._nodes[path] = ADD[type(value)](self._server.scene, path, value)
+                self._shown[path] = value
+
+    def _remove(self, path: str) -> None:
+        for node in self._nodes.pop(path, []):
+            node.remove()
+        self._shown.pop(path, None)
+
+    def _change(self, path: str, old: Value, new: Value) -> bool:
+        """Change nodes in place; False where they have to be made anew."""
+        change = CHANGE.get(type(new))
+        return bool(change and change(self._nodes[path], old, new))
+
+
+def equal(a: Value, b: Value) -> bool:
+    """Whether two scene values look the same."""
+    return type(a) is type(b) and all(_same(getattr(a, f.name), getattr(b, f.name)) for f in fields(a))
+
+
+def _same(a: Any, b: Any) -> bool:
+    if a is b:
+        return True
+    if isinstance(a, Exterior) and isinstance(b, Exterior):
+        return np.array_equal(a.vector, b.vector)
+    if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
+        return np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
+    return type(a) is type(b) and not isinstance(a, np.ndarray) and bool(a == b)
+
+
+def frustum_pose(exterior: Exterior) -> tuple[np.ndarray, np.ndarray]:
+    """Quaternion wxyz (camera axes x right, y down, z forward -> object axes) and position, as viser wants them."""
+    r, centre = to_opencv(exterior)
+    return tf.SO3.from_matrix(r.T).wxyz, centre
+
+
+def _frustum_scale(value: Frustum) -> float:
+    """viser's `scale` that puts the image plane at the value's depth (viser keeps the volume, not the depth)."""
+    y = np.tan(value.fov / 2)
+    return value.depth * float(np.cbrt(y * y * value.aspect / 3))
+
+
+def _add_frustum(scene: viser.SceneApi, path: str, value: Frustum) -> list[Any]:
+    wxyz, position = frustum_pose(value.exterior)
+    return [scene.add_camera_frustum(path, value.fov, value.aspect, scale=_frustum_scale(value), thickness=value.thickness,
+                                     thickness_units="screen", color=value.colour, image=value.image, format="jpeg", jpeg_quality=80,
+                                     wxyz=wxyz, position=position, cast_shadow=False, receive_shadow=False)]
+
+
+def _change_frustum(nodes: list[Any], old: Frustum, new: Frustum) -> bool:
+    if (old.fov, old.aspect, old.colour) != (new.fov, new.aspect, new.colour) or old.image is not new.image:
+        return False
+    node = nodes[0]
+    if not _same(old.exterior, new.exterior):
+        node.wxyz, node.position = frustum_pose(new.exterior)
+    if old.depth != new.depth:
+        node.scale = _frustum_scale(new)
+    if old.thickness != new.thickness:
+        node.thickness = new.thickness
+    return True
+
+
+def _add_segments(scene: viser.SceneApi, path: str, value: Segments) -> list[Any]:
+    return [scene.add_line_segments(path, value.points.astype(np.float32), value.colour, thickness=value.thickness, thickness_units="screen")]
+
+
+def _change_segments(nodes: list[Any], old: Segments, new: Segments) -> bool:
+    if old.colour != new.colour or old.thickness != new.thickness:
+        return False
+    nodes[0].points = new.points.astype(np.float32)
+    return True
+
+
+def _add_cloud(scene: viser.SceneApi, path: str, value: PointCloud) -> list[Any]:
+    return [scene.add_point_cloud(path, value.points.astype(np.float32), value.colours, point_size=value.size, point_shape="circle",
+                                  precision="float32")]
+
+
+def _add_ellipsoid(scene: viser.SceneApi, path: str, value: Ellipsoid) -> list[Any]:
+    vertices, faces = _sphere()
+    radii = tuple(float(r) for r in value.radii)
+    return [scene.add_mesh_simple(path, vertices, faces, color=value.colour, opacity=value.opacity, scale=(radii[0], radii[1], radii[2]),
+                                  wxyz=tf.SO3.from_matrix(value.axes).wxyz, position=value.centre, cast_shadow=False, receive_shadow=False)]
+
+
+def _change_ellipsoid(nodes: list[Any], old: Ellipsoid, new: Ellipsoid) -> bool:
+    if (old.colour, old.opacity) != (new.colour, new.opacity):
+        return False
+    node = nodes[0]
+    node.scale = tuple(float(r) for r in new.radii)
+    node.wxyz, node.position = tf.SO3.from_matrix(new.axes).wxyz, new.centre
+    return True
+
+
+def _add_plane(scene: viser.SceneApi, path: str, value: Plane) -> list[Any]:
+    return [scene.add_mesh_simple(path, value.corners.astype(np.float32), np.array([[0, 1, 2], [0, 2, 3]]), color=value.colour,
+                                  opacity=value.opacity, side="double", cast_shadow=False, receive_shadow=False)]
+
+
+def _change_plane(nodes: list[Any], old: Plane, new: Plane) -> bool:
+    if (old.colour, old.opacity) != (new.colour, new.opacity):
+        return False
+    nodes[0].vertices = new.corners.astype(np.float32)
+    return True
+
+
+def _add_mesh(scene: viser.SceneApi, path: str, value: Mesh) -> list[Any]:
+    import trimesh
+
+    mesh = trimesh.Trimesh(value.vertices.astype(np.float32), value.faces, vertex_colors=value.colours, process=False)
+    return [scene.add_mesh_trimesh(path, mesh, cast_shadow=False, receive_shadow=False)]
+
+
+def _add_label(scene: viser.SceneApi, path: str, value: Label) -> list[Any]:
+    return [scene.add_label(path, value.text, position=value.position, font_screen_scale=value.size, anchor="bottom-left")]
+
+
+def _change_label(nodes: list[Any], old: Label, new: Label) -> bool:
+    if old.size != new.size:
+        return False
+    node = nodes[0]
+    if old.text != new.text:
+        node.text = new.text
+    node.position = new.position
+    return True
+
+
+@lru_cache(maxsize=1)
+def _sphere() -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and faces of a unit sphere, by latitude and longitude."""
+    rows, columns = 17, 32
+    lat, lon = np.linspace(-np.pi / 2, np.pi / 2, rows), 2 * np.pi * np.arange(columns) / columns
+    a, b = np.meshgrid(lat, lon, indexing="ij")
+    vertices = np.stack([np.cos(a) * np.cos(b), np.cos(a) * np.sin(b), np.sin(a)], axis=-1).reshape(-1, 3)
+    i, j = np.meshgrid(np.arange(rows - 1), np.arange(columns), indexing="ij")
+    p, q = i * columns + j, i * columns + (j + 1) % columns
+    faces = np.concatenate([np.stack([p, q, q + columns], axis=-1), np.stack([p, q + columns, p + columns], axis=-1)]).reshape(-1, 3)
+    return vertices.astype(np.float32), faces.astype(np.uint32)
+
+
+ADD: dict[type, Callable[[viser.SceneApi, str, Any], list[Any]]] = {
+    Frustum: _add_frustum, Segments: _add_segments, PointCloud: _add_cloud, Ellipsoid: _add_ellipsoid, Plane: _add_plane, Mesh: _add_mesh,
+    Label: _add_label}
+CHANGE: dict[type, Callable[[list[Any], Any, Any], bool]] = {
+    Frustum: _change_frustum, Segments: _change_segments, Ellipsoid: _change_ellipsoid, Plane: _change_plane, Label: _change_label}

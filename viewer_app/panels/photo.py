@@ -1,0 +1,130 @@
+"""The Photo tab: observed and projected points with exaggerated residuals, and a magnifier to measure a point."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+
+import numpy as np
+import viser
+
+from ..actions import Place, Show, Unmark
+from ..bridge import Wire
+from ..scene import Sight, sight
+from ..state import MODELS, Photo, State
+from ..theme import CHECK, CONTROL, INITIAL, RESIDUAL
+from .widgets import BOX, MUTED, Emit, Html, bind, css, esc, jpeg, prop, put, swatch
+
+HALF = 24
+"""Half side of the magnifier, pixels of the file."""
+Crop = Callable[[Photo, tuple[int, int], float, float, int], tuple[np.ndarray, float, float]]
+
+
+class PhotoPanel:
+    """Draws the chosen photo; clicks on it and in the magnifier come back through the wire."""
+
+    def __init__(self, gui: viser.GuiApi, emit: Emit, wire: Wire, crop: Crop) -> None:
+        self._wire, self._crop = wire, crop
+        self._picture = Html(gui)  # the picture itself, sent once per photo
+        self._overlay = Html(gui)
+        self._vectors = gui.add_slider("Photo residuals ×", 1.0, 1000.0, 1.0, 50.0, hint="Exaggeration of the residual vectors on the photo.")
+        bind(self._vectors, emit, lambda value: Show("photo_vectors", float(value)))
+        self._magnifier = Html(gui)
+        self._place = gui.add_button("Place mark", hint="The mark becomes the observation of its point; everything is solved again.", color="green")
+        self._place.on_click(lambda _: emit(Place()))
+        self._unmark = gui.add_button("Drop mark", hint="Forget the mark.")
+        self._unmark.on_click(lambda _: emit(Unmark()))
+
+    def draw(self, state: State) -> None:
+        photo = state.assets.photos.get(state.image)
+        put(self._vectors, state.view.photo_vectors)
+        prop(self._vectors, "max", max(1000.0, state.view.photo_vectors))
+        self._picture.set("" if photo is None else f"<style>:root{{--collinea-photo:url({_encoded(photo)})}}</style>")
+        self._overlay.set(photo_html(state, self._wire))
+        self._magnifier.set("" if photo is None or state.mark is None else magnifier_html(state, photo, self._wire, self._crop))
+        for button in (self._place, self._unmark):
+            prop(button, "visible", state.mark is not None)
+
+
+@lru_cache(maxsize=4)
+def _encoded(photo: Photo) -> str:
+    return jpeg(photo.pane)
+
+
+def photo_html(state: State, wire: Wire) -> str:
+    """The photo pane: an SVG in pixels of the full photo over the picture, (0, 0) at the outer corner of the top-left pixel."""
+    if not state.block.images:
+        return f"<div {BOX}>This project has no images yet.</div>"
+    camera, has = state.block.camera_of(state.image), state.image in state.assets.photos
+    seen = next((s for m in MODELS if (s := sight(state, m)) is not None), None)
+    unit = camera.width / 420
+    shapes = _observations(state, unit) + ("" if seen is None else _residuals(state, seen, unit))
+    if state.mark is not None:
+        x, y, r = state.mark.col + 0.5, state.mark.row + 0.5, 9 * unit
+        shapes += (f'<path d="M{x - r} {y}h{2 * r}M{x} {y - r}v{2 * r}" stroke="#fff" stroke-width="{2.4 * unit}"/>'
+                   f'<path d="M{x - r} {y}h{2 * r}M{x} {y - r}v{2 * r}" stroke="#000" stroke-width="{unit}"/>')
+    background = "background:var(--collinea-photo) 0 0/100% 100%" if has else "background:rgba(128,128,128,.2)"
+    surface = wire.surface("photo").replace('style="cursor:crosshair"', f'style="cursor:crosshair;display:block;width:100%;{background}"')
+    target = f"click to mark <b>{esc(state.point)}</b>" if state.point else "choose a point, then click the photo to mark it"
+    missing = "" if has else f"<div {MUTED}>No photo: measurements only.</div>"
+    return (f'<div {BOX}><div>{esc(state.image)} <span {MUTED}>{camera.width} × {camera.height} px ·</span> {target}</div>{missing}'
+            f'<svg role="img" aria-label="Photo {esc(state.image)}" viewBox="0 0 {camera.width} {camera.height}" {surface}>{shapes}</svg>'
+            f"<div {MUTED}>circle: observed · {swatch(RESIDUAL)}residual × {state.view.photo_vectors:g}</div></div>")
+
+
+def _observations(state: State, unit: float) -> str:
+    block, shapes = state.block, []
+    for r in block.seen_in(state.image):
+        j = block.observations.point[r]
+        name, (col, row) = block.points.names[j], block.observations.pixel[r]
+        colour = css(INITIAL if name in state.work.off else CONTROL if block.points.role[j] == "control" else CHECK)
+        size = (6.5 if name == state.point else 3.5) * unit
+        shapes.append(f'<circle data-point="{esc(name)}" cx="{col + 0.5:.2f}" cy="{row + 0.5:.2f}" r="{size:.2f}" fill="none" '
+                      f'stroke="{colour}" stroke-width="{1.4 * unit:.2f}"><title>{esc(name)}</title></circle>')
+    return "".join(shapes)
+
+
+def _residuals(state: State, seen: Sight, unit: float) -> str:
+    shapes = []
+    for (col, row), (dx, dy) in zip(seen.projected, seen.residuals * state.view.photo_vectors, strict=True):
+        if np.isfinite([col, row, dx, dy]).all():
+            shapes.append(f'<line x1="{col + 0.5:.2f}" y1="{row + 0.5:.2f}" x2="{col + 0.5 + dx:.2f}" y2="{row + 0.5 + dy:.2f}" '
+                          f'stroke="{css(RESIDUAL)}" stroke-width="{1.4 * unit:.2f}"/>')
+    return "".join(shapes)
+
+
+def magnifier_html(state: State, photo: Photo, wire: Wire, crop: Crop) -> str:
+    """File pixels around the mark, enlarged; a click moves the mark there, the arrows by a tenth of a file pixel."""
+    assert state.mark is not None
+    camera = state.block.camera_of(state.image)
+    pixels, x, y = crop(photo, (camera.width, camera.height), state.mark.col, state.mark.row, HALF)
+    side, x, y = 2 * HALF + 1, x + 0.5, y + 0.5
+    surface = wire.surface("magnifier").replace('style="cursor:crosshair"', 'style="cursor:crosshair;display:block;width:100%;max-width:400px"')
+    arrows = " ".join(f'<button type="button" {wire.attributes("nudge", d, f"move the mark {w} by a tenth of a pixel")}>{s}</button>'
+                      for d, s, w in (("left", "←", "left"), ("right", "→", "right"), ("up", "↑", "up"), ("down", "↓", "down")))
+    return (f'<div {BOX}><div><b>{esc(state.mark.point)}</b> at col {state.mark.col:.2f}, row {state.mark.row:.2f} px {arrows}</div>'
+            f'<svg role="img" aria-label="Magnifier" viewBox="0 0 {side} {side}" {surface}>'
+            f'<image href="{jpeg(pixels, 92)}" width="{side}" height="{side}" style="image-rendering:pixelated"/>'
+            f'<path d="M0 {y:.3f}H{x - 1.5:.3f}M{x + 1.5:.3f} {y:.3f}H{side}M{x:.3f} 0V{y - 1.5:.3f}M{x:.3f} {y + 1.5:.3f}V{side}" '
+            f'stroke="#f0f" stroke-width=".18"/><circle cx="{x:.3f}" cy="{y:.3f}" r=".25" fill="#f0f"/></svg></div>')
+
+
+def magnified(state: State, photo: Photo, u: float, v: float) -> tuple[float, float]:
+    """Pixel of the full photo at (u, v), 0..1, of the magnifier."""
+    assert state.mark is not None
+    camera = state.block.camera_of(state.image)
+    side, full = 2 * HALF + 1, np.array([camera.width, camera.height])
+    factor = full / photo.size
+    file = (np.array([state.mark.col, state.mark.row]) + 0.5) / factor - 0.5
+    corner = np.round(file) - HALF
+    col, row = (corner + np.array([u, v]) * side) * factor - 0.5
+    return float(col), float(row)
+
+
+def nudged(state: State, photo: Photo | None, way: str) -> tuple[float, float] | None:
+    """The mark moved by a tenth of a file pixel."""
+    steps = {"left": (-0.1, 0.0), "right": (0.1, 0.0), "up": (0.0, -0.1), "down": (0.0, 0.1)}
+    if state.mark is None or way not in steps:
+        return None
+    factor = 1.0 if photo is None else state.block.camera_of(state.image).width / photo.size[0]
+    return state.mark.col + steps[way][0] * factor, state.mark.row + steps[way][1] * factor

@@ -1,0 +1,91 @@
+"""One button opens the run in rerun's own viewer, in a panel beside the scene; recorded and served on demand."""
+
+from __future__ import annotations
+
+import logging
+import tempfile
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import viser
+
+from solvers import PhotogrammetryError
+
+from ..actions import Action, Say
+from .widgets import esc
+from ..state import MODELS, State
+
+
+class RerunPanel:
+    """Records the solutions there are and shows the recording; a second press records anew."""
+
+    def __init__(self, gui: viser.GuiApi, emit: Callable[[Action], None], state: Callable[[], State]) -> None:
+        self._gui, self._emit, self._state = gui, emit, state
+        self._folder = tempfile.TemporaryDirectory(prefix="collinea-")
+        self._lock = threading.Lock()
+        self._count = 0
+        self._serving: Any = None
+        self._panel: Any = None
+        self._html: Any = None
+
+    def open(self, client: viser.ClientHandle | None = None) -> None:
+        with self._lock:
+            try:
+                url = self._serve()
+            except (PhotogrammetryError, OSError, RuntimeError) as error:
+                logging.getLogger("collinea").exception("rerun")
+                self._emit(Say(f"The run could not be opened in rerun: {error}"))
+                return
+            if url is None:
+                self._emit(Say("There is no solution to show in rerun yet; solve an image first."))
+                return
+            self._show(url)
+
+    def _serve(self) -> str | None:
+        from ..paint_rerun import record, serve
+
+        state = self._state()
+        done = [s.orientation for i in state.block.images for m in MODELS if (s := state.solution(m, i.name)) and s.orientation]
+        if not done:
+            return None
+        done.sort(key=lambda o: o.image != state.image)
+        self._count += 1
+        path = Path(self._folder.name) / f"recording-{self._count}.rrd"
+        record(path, state.block, done, {name: photo.pane for name, photo in state.assets.photos.items()}, _truth(state))
+        if self._serving is not None:
+            self._serving.close()
+        self._serving = serve(path)
+        return self._serving.url
+
+    def _show(self, url: str) -> None:
+        if self._panel is None:
+            self._panel = self._gui.add_panel()
+            with self._panel.add_tab("rerun"):
+                self._html = self._gui.add_html("")
+            self._panel.dock_left()
+            self._panel.set_width(620)
+            with self._panel.add_tab("Close"):
+                self._gui.add_button("Close rerun", hint="Close this panel.").on_click(lambda _: self._hide())
+        self._html.content = (f'<iframe title="rerun" src="{esc(url)}" style="width:100%;height:calc(100vh - 90px);border:0"></iframe>'
+                              f'<div style="padding:2px 12px;font-size:12px"><a href="{esc(url)}" target="_blank" rel="noreferrer">'
+                              "Open in a tab of its own</a></div>")
+
+    def _hide(self) -> None:
+        with self._lock:
+            if self._panel is not None:
+                self._panel.remove()
+                self._panel = self._html = None
+
+    def close(self) -> None:
+        with self._lock:
+            if self._serving is not None:
+                self._serving.close()
+            self._folder.cleanup()
+
+
+def _truth(state: State) -> dict[str, Any]:
+    from solvers.io import read_truth
+
+    return (read_truth(state.assets.folder) if state.assets.folder else None) or {}

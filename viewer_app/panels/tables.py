@@ -1,0 +1,128 @@
+"""Tables and sentences of the Orientation tab as HTML, pure."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..bridge import Wire
+from ..scene import CHI_95, Sight, sight
+from ..state import ADVICE, MODELS, State, wanted
+from ..theme import CHECK, CONTROL, INITIAL
+from ..theme import MODELS as COLOURS
+from .widgets import BOX, MUTED, decimals, esc, swatch, table
+
+KEYS = (("X", "m"), ("Y", "m"), ("Z", "m"), ("ω", "°"), ("φ", "°"), ("κ", "°"))
+
+
+def orientation_values(state: State, model: str) -> tuple[np.ndarray, np.ndarray | None] | None:
+    """X, Y, Z in project coordinates [m], omega, phi, kappa [deg] at the row shown, with standard errors at the last row."""
+    exterior, solution = state.exterior(model), state.solution(model)
+    if exterior is None or solution is None:
+        return None
+    ended = solution.orientation is not None and state.row >= len(solution.rows) - 1
+    if ended and solution.orientation:
+        final = solution.orientation
+        values = np.concatenate([final.exterior.centre, np.degrees(final.exterior.angles)])
+        return values, np.concatenate([final.sigma[:3], np.degrees(final.sigma[3:])])
+    return np.concatenate([state.assets.frame.to_map(exterior.centre), np.degrees(exterior.angles)]), None
+
+
+def orientation_table(state: State) -> str:
+    """Both models with their standard errors and their difference."""
+    one, two = (orientation_values(state, model) for model in MODELS)
+    rows = []
+    for i, (name, unit) in enumerate(KEYS):
+        sigmas = [v[1][i] for v in (one, two) if v is not None and v[1] is not None]
+        places = max([decimals(s) for s in sigmas], default=3 if i < 3 else 5)
+        cells = [f"{name} <span {MUTED}>{unit}</span>"]
+        for v in (one, two):
+            cells += ["–", ""] if v is None else [f"{v[0][i]:.{places}f}", "" if v[1] is None else f"±{v[1][i]:.{places}f}"]
+        difference = None if one is None or two is None else float(two[0][i] - one[0][i])
+        if difference is not None and i >= 3:
+            difference = (difference + 180) % 360 - 180
+        cells.append("" if difference is None else f"{difference:+.{places}f}")
+        rows.append(("", cells))
+    head = ("", f"{swatch(COLOURS['perspective'])}perspective", "1σ", f"{swatch(COLOURS['orthogonal'])}orthogonal", "1σ", "o − p")
+    sigma0 = [f"{s.orientation.sigma0:.3f}" if (s := state.solution(m)) and s.orientation and s.orientation.sigma0 is not None else "–" for m in MODELS]
+    rms = [f"{s.orientation.rms_px:.3f}" if (s := state.solution(m)) and s.orientation else "–" for m in MODELS]
+    used = [f"{int(s.orientation.used.sum())}" if (s := state.solution(m)) and s.orientation else "–" for m in MODELS]
+    rows += [("", ("σ0", sigma0[0], "", sigma0[1], "", "")), ("", (f"rms <span {MUTED}>px</span>", rms[0], "", rms[1], "", "")),
+             ("", ("GCPs", used[0], "", used[1], "", ""))]
+    return f"<div {BOX}>{table(head, rows, 'Orientation')}</div>"
+
+
+def words(state: State) -> str:
+    """What is going on, what went wrong and what to mind, in sentences."""
+    lines = []
+    todo = {(j.image, j.model) for j in wanted(state)}
+    busy = [m for m in (*MODELS, ADVICE) if (state.image, m) in todo]
+    if busy:
+        lines.append(f"<div>Solving {esc(state.image)}: {' and '.join(busy)} …</div>")
+    elif todo:
+        lines.append(f"<div {MUTED}>Solving the other images: {len({i for i, _ in todo})} to do …</div>")
+    if state.message:
+        lines.append(f"<div>{esc(state.message)}</div>")
+    for model in MODELS:
+        solution = state.solution(model)
+        if solution is None:
+            continue
+        if solution.error:
+            lines.append(f"<div>{swatch(COLOURS[model])}<b>No {model} solution.</b> {esc(solution.error)}</div>")
+        if solution.orientation:
+            lines += [f"<div>{swatch(COLOURS[model])}{esc(w)}</div>" for w in solution.orientation.warnings]
+            if solution.orientation.rejected:
+                lines.append(f"<div>{swatch(COLOURS[model])}rejected as blunders: {esc(', '.join(solution.orientation.rejected))}</div>")
+    advised = state.solution(ADVICE)
+    if advised and advised.advice:
+        lines.append(f"<div><b>Advice: {esc(advised.advice.model)}.</b> {esc('; '.join(advised.advice.reasons))}.</div>")
+    lines += _unsaid(state)
+    degrees = next((s.orientation.dof for m in MODELS if (s := state.solution(m)) and s.orientation), None)
+    if degrees is not None and state.view.ellipsoids:
+        lines.append(f"<div {MUTED}>Ellipsoids of the centres: 95 %, factor {CHI_95:.3f} (√χ² with 3 degrees of freedom), a priori from the given "
+                     f"standard errors, drawn × {state.view.ellipsoid:g}; redundancy of the adjustment {degrees}.</div>")
+    return f'<div {BOX}><div role="status" aria-label="Messages">{"".join(lines)}</div></div>'
+
+
+def _unsaid(state: State) -> list[str]:
+    """What is not drawn, and why."""
+    block = state.block
+    if not block.images:
+        return [f"<div {MUTED}>This project has no images yet.</div>"]
+    seen = int((block.observations.image == block.image_index(state.image)).sum())
+    said = []
+    if not seen:
+        said.append("No point is measured in this image yet: choose a point, open the tab Photo, click where you see it and place the mark.")
+    if state.image not in state.assets.truth and state.assets.truth:
+        said.append("The simulation knows no truth for this image.")
+    missing = sum(1 for i in block.images if state.exterior("perspective", i.name) is None and state.exterior("orthogonal", i.name) is None)
+    if missing and not wanted(state):
+        said.append(f"{missing} of {len(block.images)} images have no solution and are not drawn.")
+    return [f"<div {MUTED}>{esc(s)}</div>" for s in said]
+
+
+def point_table(state: State, wire: Wire) -> str:
+    """Every control and check point: on or off, and its residuals in the chosen image by both models. A row switches its point."""
+    seen = [sight(state, model) for model in MODELS]
+    points, rows = state.block.points, []
+    for name, role, group in zip(points.names, points.role, points.group or ("",) * len(points), strict=True):
+        if role == "tie":
+            continue
+        off = name in state.work.off
+        mark = swatch(INITIAL if off else CONTROL if role == "control" else CHECK)
+        weight = "font-weight:600;" if name == state.point else ""
+        style = f'style="{weight}{"opacity:.5;" if off else ""}cursor:pointer"'
+        attributes = wire.attributes("point", name, f"{name}: switch {'on' if off else 'off'}").replace('style="cursor:pointer"', "")
+        cells = [f"{'☐' if off else '☑'} {mark}{esc(name)}", f"{esc(role)}{' · ' + esc(group) if group else ''}"]
+        for s in seen:
+            cells += _residual(s, name)
+        rows.append((f"{attributes} {style} data-point=\"{esc(name)}\"", cells))
+    head = ("point", "role", *(f"{swatch(COLOURS[m])}v {axis}" for m in MODELS for axis in ("col", "row")))
+    on = len(state.control())
+    title = f"<div><b>{on} control points on</b> <span {MUTED}>· residuals in px, observed − projected · click a row to switch its point</span></div>"
+    return f"<div {BOX}>{title}{table(head, rows, 'Ground control points', 230)}</div>"
+
+
+def _residual(seen: Sight | None, name: str) -> list[str]:
+    if seen is None or name not in seen.names:
+        return ["", ""]
+    return [f"{v:+.2f}" if np.isfinite(v) else "behind" for v in seen.residuals[seen.names.index(name)]]

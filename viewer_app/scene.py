@@ -1,0 +1,239 @@
+"""State -> scene values, pure: the ground, the points, and for every image its solutions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from solvers import Exterior, Interior
+from solvers.cameras import ideal_photo
+
+from . import theme
+from .ground import ground, nice, points
+from .state import MODELS, State
+from .values import Ellipsoid, Frustum, Label, Plane, Scene, Segments
+
+CHI_95 = 2.7954834829151074
+"""Square root of the 95 % quantile of chi-square with 3 degrees of freedom: the factor of a 95 % error ellipsoid."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What one image sees of its control points at the row shown: everything drawn between camera and ground.
+
+    names; xyz (n, 3) local; observed, projected (n, 2) px of the full photo; used (n,) takes part in the solution.
+    """
+
+    exterior: Exterior
+    interior: Interior
+    names: tuple[str, ...]
+    xyz: np.ndarray
+    observed: np.ndarray
+    projected: np.ndarray
+    used: np.ndarray
+
+    @property
+    def residuals(self) -> np.ndarray:
+        """(n, 2) px, observed minus projected."""
+        return self.observed - self.projected
+
+    @property
+    def vectors(self) -> np.ndarray:
+        """(n, 3) m: from each point to its observed ray, at the point's depth; NaN behind the camera."""
+        measured = self.interior.ideal(self.observed)
+        computed = ideal_photo(self.interior.c, self.exterior, self.xyz)
+        depth = -self.exterior.camera(self.xyz)[:, 2]
+        offset = np.concatenate([measured - computed, np.zeros((len(self.xyz), 1))], axis=1)
+        return (offset * (depth / self.interior.c)[:, None]) @ self.exterior.m
+
+
+def scene(state: State) -> Scene:
+    """All that is to be seen."""
+    found: Scene = {**ground(state), **points(state)}
+    depth = frustum_depth(state)
+    for image in state.block.images:
+        found |= _image(state, image.name, depth)
+    return found
+
+
+def sight(state: State, model: str, image: str | None = None) -> Sight | None:
+    """What an image (the chosen one) sees at the row shown by a model; None where there is no solution."""
+    name = image or state.image
+    exterior = state.exterior(model, image)
+    if exterior is None:
+        return None
+    block = state.block
+    rows = block.seen_in(name, ("control", "check"))
+    index = block.observations.point[rows]
+    xyz = state.assets.frame.to_local(block.points.xyz[index])
+    known = np.isfinite(xyz).all(axis=1)
+    rows, index, xyz = rows[known], index[known], xyz[known]
+    interior = block.camera_of(name)
+    solution = state.solution(model, image)
+    if solution and solution.orientation and solution.orientation.interior:
+        interior = solution.orientation.interior
+    names = tuple(block.points.names[j] for j in index)
+    on = set(state.control())
+    rejected = set(solution.orientation.rejected) if solution and solution.orientation else set()
+    projected = interior.measured(ideal_photo(interior.c, exterior, xyz))
+    used = np.array([n in on and n not in rejected for n in names], bool)
+    return Sight(exterior, interior, names, xyz, block.observations.pixel[rows], projected, used)
+
+
+def frustum_depth(state: State) -> float:
+    """Depth (m) at which image planes are drawn: a twelfth of the way to the ground, at least a tenth of the site."""
+    xyz = _known(state)
+    site = float(np.linalg.norm(np.ptp(xyz, axis=0))) if len(xyz) else 1.0
+    centres = [e.centre for i in state.block.images if (e := _any(state, i.name))]
+    far = float(np.median([np.linalg.norm(c - xyz.mean(axis=0)) for c in centres])) if centres and len(xyz) else 0.0
+    return nice(max(0.07 * site, 0.08 * far, 1e-3))
+
+
+def _known(state: State) -> np.ndarray:
+    xyz = state.assets.frame.to_local(state.block.points.xyz)
+    return xyz[np.isfinite(xyz).all(axis=1)]
+
+
+def _any(state: State, image: str) -> Exterior | None:
+    """Where an image is, as far as anything says so, in the local frame."""
+    for model in MODELS:
+        solution = state.solution(model, image)
+        if solution and solution.rows:
+            return Exterior.from_vector(solution.rows[-1].x)
+    return state.assets.truth.get(image) or prior(state, image)
+
+
+def prior(state: State, image: str) -> Exterior | None:
+    """The project's own approximate orientation of an image, where it is complete."""
+    given = state.block.images[state.block.image_index(image)].prior
+    if given is None or given.centre is None or given.angles is None:
+        return None
+    return Exterior.from_angles(*given.angles, state.assets.frame.to_local(given.centre))
+
+
+def _image(state: State, name: str, depth: float) -> Scene:
+    view, chosen, found = state.view, name == state.image, Scene()
+    path = "/images/" + name.replace("/", "_")
+    interior = state.block.camera_of(name)
+    px, py = interior.pitch
+    lens = {"fov": 2 * float(np.arctan(interior.height * py / 2 / interior.c)), "aspect": interior.width * px / (interior.height * py)}
+    photo = state.assets.photos.get(name)
+    thumbnail = photo.thumbnail if photo and view.photos else None
+    for model in MODELS:
+        exterior = state.exterior(model, name)
+        if exterior is None or not getattr(view, model):
+            continue
+        first = model == "perspective"
+        # The orthogonal frustum is a little larger, so that neither hides the other where they coincide.
+        found[f"{path}/{model}/camera"] = Frustum(exterior, depth=depth * (1 if first else 1.2), colour=theme.MODELS[model],
+                                                  thickness=3.0 if chosen else 1.5, image=thumbnail if first else None, **lens)
+        found |= _ellipsoid(state, name, model, exterior, f"{path}/{model}/ellipsoid")
+        if chosen:
+            found |= _chosen(state, model, f"{path}/{model}")
+    start = _start(state, name)
+    if view.initial and chosen and start is not None:
+        found[f"{path}/initial/camera"] = Frustum(start, depth=depth * 0.8, colour=theme.INITIAL, thickness=1.5, **lens)
+    truth = state.assets.truth.get(name)
+    if view.truth and truth is not None:
+        found[f"{path}/truth/camera"] = Frustum(truth, depth=depth * 0.6, colour=theme.foreground(view.dark), thickness=1.0, **lens)
+    at = _any(state, name)
+    if view.labels and at is not None:
+        found[f"{path}/label"] = Label(name, at.centre + [0, 0, 0.35 * depth], 1.15 if chosen else 0.9)
+    return found | (_difference(state, path, depth) if chosen else {})
+
+
+def _start(state: State, name: str) -> Exterior | None:
+    for model in MODELS:
+        solution = state.solution(model, name)
+        if solution and solution.rows:
+            return Exterior.from_vector(solution.rows[0].x)
+    return prior(state, name)
+
+
+def _chosen(state: State, model: str, path: str) -> Scene:
+    """Rays, bundle and residual vectors of the chosen image."""
+    seen, view, found = sight(state, model), state.view, Scene()
+    if seen is None or not seen.used.any():
+        return found
+    centre, on = seen.exterior.centre, seen.used
+    vectors = np.nan_to_num(seen.vectors)
+    if model == "perspective" and view.rays:
+        found[f"{path}/rays"] = Segments(_lines(centre, (seen.xyz + vectors)[on]), theme.MODELS[model], 1.0)
+    if model == "orthogonal" and view.bundle:
+        found |= _bundle(state, seen, path)
+    if view.residuals and (model == "perspective" or not view.perspective):
+        ends = seen.xyz + view.vectors * vectors
+        found[f"{path}/residuals"] = Segments(np.stack([seen.xyz, ends], axis=1), theme.RESIDUAL, 3.0)
+    return found
+
+
+def _bundle(state: State, seen: Sight, path: str) -> Scene:
+    """The orthogonal model made visible: parallel rays carry the points to the average plane, which is then seen in perspective.
+
+    The plane goes through the centroid of the control, across the projecting direction: the mean ray when the bundle is
+    re-centred, else the optical axis. Reference: Ono & Hattori 2002.
+    """
+    xyz, exterior = seen.xyz[seen.used], seen.exterior
+    axis = -exterior.m[2]
+    if state.work.settings.recentre:
+        photo = seen.interior.ideal(seen.observed[seen.used])
+        rays = np.column_stack([photo, np.full(len(photo), -seen.interior.c)])
+        mean = (rays / np.linalg.norm(rays, axis=1)[:, None]).mean(axis=0) @ exterior.m
+        axis = mean / np.linalg.norm(mean)
+    middle = xyz.mean(axis=0)
+    feet = xyz + ((middle - xyz) @ axis)[:, None] * axis
+    reach = 0.3 * float((middle - exterior.centre) @ axis)
+    right = exterior.m[0] - (exterior.m[0] @ axis) * axis
+    right /= np.linalg.norm(right)
+    up = np.cross(axis, right)
+    across = np.stack([(feet - middle) @ right, (feet - middle) @ up], axis=1)
+    low, high = across.min(axis=0), across.max(axis=0)
+    margin = 0.12 * max(float(np.linalg.norm(high - low)), 1e-3)
+    low, high = low - margin, high + margin
+    corners = middle + np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]]) @ np.stack([right, up])
+    colour = theme.ORTHOGONAL
+    return {
+        f"{path}/parallel": Segments(np.stack([xyz, feet - reach * axis], axis=1), colour, 1.5),
+        f"{path}/rays": Segments(_lines(exterior.centre, feet), _pale(colour, state.view.dark), 1.0),
+        f"{path}/plane": Plane(corners, colour, 0.22),
+        f"{path}/plane_edge": Segments(np.stack([corners, np.roll(corners, -1, axis=0)], axis=1), colour, 1.5),
+    }
+
+
+def _ellipsoid(state: State, name: str, model: str, exterior: Exterior, path: str) -> Scene:
+    """The 95 % error ellipsoid of a centre, a priori; only where the adjustment has ended, for there it holds."""
+    solution = state.solution(model, name)
+    ended = solution is not None and (name != state.image or state.row >= len(solution.rows) - 1)
+    if not (state.view.ellipsoids and ended and solution and solution.orientation):
+        return {}
+    values, axes = np.linalg.eigh(solution.orientation.covariance[:3, :3])
+    axes = axes * np.sign(np.linalg.det(axes))
+    radii = CHI_95 * state.view.ellipsoid * np.sqrt(np.clip(values, 0, None))
+    return {path: Ellipsoid(exterior.centre, axes, np.maximum(radii, 1e-6), theme.MODELS[model])}
+
+
+def _difference(state: State, path: str, depth: float) -> Scene:
+    """Where both solutions nearly coincide, an arrow from the perspective to the orthogonal centre, drawn exaggerated."""
+    one, two, view = state.exterior("perspective"), state.exterior("orthogonal"), state.view
+    if one is None or two is None or not (view.perspective and view.orthogonal):
+        return {}
+    step = two.centre - one.centre
+    length = float(np.linalg.norm(step))
+    if not 1e-9 < length < 0.5 * depth:
+        return {}
+    factor = nice(1.5 * depth / length)
+    end = one.centre + factor * step
+    return {f"{path}/difference": Segments(np.stack([one.centre, end])[None], theme.foreground(view.dark), 3.0),
+            f"{path}/difference_label": Label(f"orthogonal − perspective {length:.3f} m, drawn × {factor:g}", end)}
+
+
+def _lines(centre: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    return np.stack([np.broadcast_to(centre, ends.shape), ends], axis=1)
+
+
+def _pale(colour: theme.Colour, dark: bool) -> theme.Colour:
+    """Half way to the background: lines have no transparency of their own."""
+    back = theme.BACKGROUND_DARK if dark else theme.BACKGROUND_LIGHT
+    r, g, b = ((c + d) // 2 for c, d in zip(colour, back, strict=True))
+    return r, g, b

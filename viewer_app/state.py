@@ -1,0 +1,210 @@
+"""The viewer's whole truth as one frozen value; panels and painters only draw it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from solvers import Block, Exterior
+from solvers.adjustment import Iteration
+from solvers.geometry import LocalFrame
+from solvers.orientation import Advice, Orientation
+
+MODELS = ("perspective", "orthogonal")
+ADVICE = "advice"
+"""The third job of an image: which of the models to believe."""
+PRIORS = ("none", "initial", "weighted")
+FORMS = ("depth", "printed")
+HISTORY = 200
+"""Edits that can be undone."""
+
+
+@dataclass(frozen=True, eq=False)
+class Photo:
+    """A photo as the viewer holds it, never the photo itself: small pictures (h, w, 3) uint8 for the scene and for the photo pane.
+
+    size: of the file [px], which may be the camera's format reduced by a whole factor.
+    """
+
+    path: Path
+    thumbnail: np.ndarray
+    pane: np.ndarray
+    size: tuple[int, int]
+
+
+@dataclass(frozen=True, eq=False)
+class Terrain:
+    """Surface of the ground in the local frame: vertices (n, 3) m, faces (k, 3), colours (n, 3) uint8."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    colours: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Assets:
+    """What a project brings and no edit changes. truth: local exterior orientations of a simulation."""
+
+    folder: Path | None
+    frame: LocalFrame
+    photos: Mapping[str, Photo] = field(default_factory=dict)
+    terrain: Terrain | None = None
+    level: float | None = None  # height of a flat ground, local frame
+    truth: Mapping[str, Exterior] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How images are oriented; the words of the command line."""
+
+    robust: bool = False
+    prior: str = "none"
+    one_pass: bool = False
+    form: str = "depth"
+    recentre: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """One image by one model: the rows so far; the orientation when it is done; or one sentence why there is none."""
+
+    revision: int
+    rows: tuple[Iteration, ...] = ()
+    manifest: Mapping[str, Any] = field(default_factory=dict)
+    orientation: Orientation | None = None
+    advice: Advice | None = None
+    error: str = ""
+
+    @property
+    def done(self) -> bool:
+        return self.orientation is not None or self.advice is not None or bool(self.error)
+
+    def row(self, index: int) -> Iteration | None:
+        """The row shown at a position of the slider: its own last row when it ended earlier."""
+        return self.rows[min(index, len(self.rows) - 1)] if self.rows else None
+
+
+@dataclass(frozen=True, eq=False)
+class Work:
+    """What edits change and undo brings back. off: points switched off. A solution is fresh when its revision is this one."""
+
+    block: Block
+    off: frozenset[str] = frozenset()
+    settings: Settings = Settings()
+    revision: int = 0
+    solutions: Mapping[tuple[str, str], Solution] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class View:
+    """What is shown and how much exaggerated; no edit, so undo leaves it alone."""
+
+    dark: bool = False
+    terrain: bool = True
+    labels: bool = True
+    photos: bool = True
+    perspective: bool = True
+    orthogonal: bool = True
+    initial: bool = True
+    truth: bool = True
+    rays: bool = True
+    bundle: bool = True  # parallel bundle and average plane of the orthogonal solution
+    residuals: bool = True
+    ellipsoids: bool = True
+    vectors: float = 200.0  # exaggeration of residual vectors on the ground
+    photo_vectors: float = 50.0  # the same on the photo
+    ellipsoid: float = 100.0  # exaggeration of the error ellipsoids
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A measurement being made: pixel of the full photo (0, 0 = centre of the top-left pixel)."""
+
+    point: str
+    col: float
+    row: float
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Everything. row: position of the iteration slider; follow: it stays at the last row when solutions change."""
+
+    work: Work
+    assets: Assets
+    image: str
+    view: View = View()
+    point: str | None = None
+    row: int = 0
+    follow: bool = True
+    playing: bool = False
+    speed: float = 2.0  # rows per second
+    mark: Mark | None = None
+    held: int | None = None  # revision at which solving was cancelled
+    message: str = ""
+    next_revision: int = 1
+    past: tuple[Work, ...] = ()
+    future: tuple[Work, ...] = ()
+
+    @property
+    def block(self) -> Block:
+        return self.work.block
+
+    def solution(self, model: str, image: str | None = None) -> Solution | None:
+        """The solution of an image (the chosen one) by a model, None before its first row."""
+        return self.work.solutions.get((image or self.image, model))
+
+    @property
+    def last_row(self) -> int:
+        """Last position of the slider: that of the longer of the chosen image's traces."""
+        return max((len(s.rows) - 1 for m in MODELS if (s := self.solution(m)) and s.rows), default=0)
+
+    def exterior(self, model: str, image: str | None = None) -> Exterior | None:
+        """Local exterior orientation at the row shown, None where there is none."""
+        solution = self.solution(model, image)
+        row = solution.row(self.row if image in (None, self.image) else len(solution.rows) - 1) if solution else None
+        return Exterior.from_vector(row.x) if row is not None else None
+
+    def control(self) -> tuple[str, ...]:
+        """Names of the control points that are switched on."""
+        points = self.block.points
+        return tuple(n for n, r in zip(points.names, points.role, strict=True) if r == "control" and n not in self.work.off)
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """One image to be oriented by one model, or to be advised on."""
+
+    image: str
+    model: str
+    revision: int
+    block: Block
+    points: tuple[str, ...]
+    settings: Settings
+
+    @property
+    def key(self) -> tuple[str, str, int]:
+        return self.image, self.model, self.revision
+
+
+def wanted(state: State) -> tuple[Job, ...]:
+    """What has still to be solved, the chosen image first; nothing after a cancel, until the next edit."""
+    work, of = state.work, state.block.observations
+    if state.held == work.revision:
+        return ()
+    measured = [i.name for k, i in enumerate(work.block.images) if (of.image == k).any()]
+    images = sorted(measured, key=lambda name: name != state.image)
+    todo = [(image, model) for image in images for model in MODELS]
+    if state.image in measured:
+        todo.insert(len(MODELS), (state.image, ADVICE))
+    on = frozenset(state.control())
+    return tuple(Job(image, model, work.revision, work.block, _seen(work.block, image, on), work.settings) for image, model in todo
+                 if not ((s := work.solutions.get((image, model))) and s.revision == work.revision and s.done))
+
+
+def _seen(block: Block, image: str, on: frozenset[str]) -> tuple[str, ...]:
+    names = (block.points.names[block.observations.point[r]] for r in block.seen_in(image, ("control",)))
+    return tuple(n for n in names if n in on)

@@ -1,0 +1,85 @@
+"""Scene values: what there is to see, without saying how it is painted. Lengths in metres of the local frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from solvers import Exterior
+
+from .theme import Colour
+
+
+@dataclass(frozen=True, eq=False)
+class Frustum:
+    """A camera: fov (vertical, rad), aspect (width / height), depth (m) at which its image plane is drawn."""
+
+    exterior: Exterior
+    fov: float
+    aspect: float
+    depth: float
+    colour: Colour
+    thickness: float = 2.0  # px
+    image: np.ndarray | None = None  # (h, w, 3) uint8
+
+
+@dataclass(frozen=True, eq=False)
+class Segments:
+    """Line segments (n, 2, 3), thickness in pixels of the screen."""
+
+    points: np.ndarray
+    colour: Colour
+    thickness: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class PointCloud:
+    """Points (n, 3) with one colour or (n, 3) uint8 colours, size in metres."""
+
+    points: np.ndarray
+    colours: np.ndarray
+    size: float
+
+
+@dataclass(frozen=True, eq=False)
+class Ellipsoid:
+    """Semi-axes (3,) m along the columns of axes (3, 3), a rotation."""
+
+    centre: np.ndarray
+    axes: np.ndarray
+    radii: np.ndarray
+    colour: Colour
+    opacity: float = 0.35
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """A filled quadrilateral, corners (4, 3) in order."""
+
+    corners: np.ndarray
+    colour: Colour
+    opacity: float
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles with a colour (uint8, 3) per vertex."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    colours: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Label:
+    """Text at a position, of constant size on the screen."""
+
+    text: str
+    position: np.ndarray
+    size: float = 1.0
+
+
+Value = Frustum | Segments | PointCloud | Ellipsoid | Plane | Mesh | Label
+Scene = dict[str, Value]
+"""Entity path -> value; the same paths in viser and rerun."""
