@@ -136,6 +136,8 @@ def _perspective(request: Request, control: Control, found: list[Candidate], pri
     at = found[0].exterior if found else prior.exterior if prior else None
     problem = Resection(control.interior, control.points, control.pixels, control.weights(at), request.free, weighted)
     if request.prior == "initial" and prior is not None:
+        if not np.isfinite(problem.cost(problem.start(prior.exterior))):
+            raise DegenerateGeometry(f"image '{request.image}': control points lie behind the camera of the prior; check its angles")
         return problem, problem.start(prior.exterior), found
     if weighted is not None and prior is not None:
         beginnings = [*found, Candidate(prior.exterior, prior.exterior, "prior", 0.0)]
@@ -170,34 +172,30 @@ def _orthogonal(request: Request, control: Control, found: list[Candidate],
     sigma = np.linalg.inv(control.weights(near))
     frozen = prior.exterior if request.one_pass and prior else None
     problem = Orthogonal(control.interior, control.points, control.pixels, sigma, request.form, request.recentre, frozen)
-    beginnings = problem.starts()
+    if request.one_pass or not found:
+        return problem, _best_run(problem, problem.starts(), control)[0], found
+    best = found[0].exterior
+    if problem.statistics(best).radius >= 1:  # plain repetition would run away from the fixed point: aim the steps
+        problem = replace(problem, accelerated=True)
+        beginnings = [problem.start(problem.affine_of(e)) for k in found for e in (k.start, k.exterior)]
+    else:
+        beginnings = problem.starts() + [problem.start(problem.affine_of(k.exterior)) for k in found]
     if request.prior == "initial" and prior:
         beginnings = [problem.start(problem.affine_of(prior.exterior))]
-    if not request.one_pass:
-        beginnings += [problem.start(problem.affine_of(k.exterior)) for k in found]
-    x0, trace = _best_run(problem, beginnings, control)
-    if not request.one_pass and found and not _sound(control, trace, found[0].exterior):
-        aimed = replace(problem, accelerated=True)
-        beginnings = [aimed.start(aimed.affine_of(e)) for k in found for e in (k.start, k.exterior)]
-        x0_aimed, trace = _best_run(aimed, beginnings, control)
-        if _sound(control, trace, found[0].exterior):
-            return aimed, x0_aimed, found
-    return problem, x0, found
+    for x0 in beginnings:  # the first that ends beside the best perspective solution, the linear start before all others
+        trace = solve(problem, x0, ORTHOGONAL)
+        end = Exterior.from_vector(trace.last.x)
+        if _sound(control, trace, best) and all(apart(end, best) < apart(end, k.exterior) for k in found[1:]):
+            return problem, x0, found
+    return problem, _best_run(problem, beginnings, control)[0], found
 
 
 def _best_run(problem: Orthogonal, beginnings: list[np.ndarray], control: Control) -> tuple[np.ndarray, Trace]:
-    """Of all runs the converged one with the smallest perspective residual, shown from the first start that leads there."""
-    runs = [solve(problem, x0, ORTHOGONAL) for x0 in beginnings]
-    def rank(trace: Trace) -> tuple[bool, float]:
-        v = control.pixels - project(control.interior, Exterior.from_vector(trace.last.x), control.points)
-        cost = float((v**2).sum())
-        return not (trace.converged and np.isfinite(cost)), cost if np.isfinite(cost) else np.inf
-    best = min(runs, key=rank)
-    goal = Exterior.from_vector(best.last.x)
-    for x0, trace in zip(beginnings, runs, strict=True):
-        if trace.converged == best.converged and apart(Exterior.from_vector(trace.last.x), goal) < 1e-7:
-            return x0, trace
-    return beginnings[0], runs[0]
+    """Of all runs the converged one with the smallest perspective residual."""
+    def rank(run: tuple[np.ndarray, Trace]) -> tuple[bool, float]:
+        rms = _rms(control, Exterior.from_vector(run[1].last.x))
+        return not (run[1].converged and np.isfinite(rms)), rms if np.isfinite(rms) else np.inf
+    return min(((x0, solve(problem, x0, ORTHOGONAL)) for x0 in beginnings), key=rank)
 
 
 def _sound(control: Control, trace: Trace, best: Exterior) -> bool:
