@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -41,12 +41,12 @@ class Dense:
     h: np.ndarray | None = None
     w: np.ndarray | None = None
 
-    @property
-    def scale(self) -> np.ndarray:
-        """(u,) square roots of the diagonal, kept off zero."""
+    scale: np.ndarray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
         diagonal = np.diag(self.n)
         floor = max(float(diagonal.max(initial=0.0)) * 1e-24, np.finfo(float).tiny)
-        return np.sqrt(np.maximum(diagonal, floor))
+        object.__setattr__(self, "scale", np.sqrt(np.maximum(diagonal, floor)))
 
     @property
     def scaled(self) -> np.ndarray:

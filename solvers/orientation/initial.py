@@ -113,8 +113,9 @@ def planar_block(centred: np.ndarray, u: np.ndarray, s: np.ndarray, vt: np.ndarr
 def pose_of_block(block: np.ndarray) -> tuple[np.ndarray, float]:
     """M (3, 3) and scale of a 2x3 block that need not fulfil the constraints: closest rotation, m3 = m1 x m2."""
     u, s, vt = np.linalg.svd(block, full_matrices=False)
-    m12 = u @ vt
-    return np.vstack([m12, np.cross(m12[0], m12[1])]), float(s.mean())
+    a, b = u @ vt
+    m3 = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    return np.array([a, b, m3]), float(s[0] + s[1]) / 2
 
 
 def _from_block(block: np.ndarray, t: np.ndarray, mean: np.ndarray, c: float) -> Exterior | None:

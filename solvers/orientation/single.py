@@ -175,19 +175,18 @@ def _orthogonal(request: Request, control: Control, found: list[Candidate],
     if request.one_pass or not found:
         return problem, _best_run(problem, problem.starts(), control)[0], found
     best = found[0].exterior
-    if problem.statistics(best).radius >= 1:  # plain repetition would run away from the fixed point: aim the steps
-        problem = replace(problem, accelerated=True)
-        beginnings = [problem.start(problem.affine_of(e)) for k in found for e in (k.start, k.exterior)]
-    else:
-        beginnings = problem.starts() + [problem.start(problem.affine_of(k.exterior)) for k in found]
-    if request.prior == "initial" and prior:
-        beginnings = [problem.start(problem.affine_of(prior.exterior))]
-    for x0 in beginnings:  # the first that ends beside the best perspective solution, the linear start before all others
-        trace = solve(problem, x0, ORTHOGONAL)
-        end = Exterior.from_vector(trace.last.x)
-        if _sound(control, trace, best) and all(apart(end, best) < apart(end, k.exterior) for k in found[1:]):
-            return problem, x0, found
-    return problem, _best_run(problem, beginnings, control)[0], found
+    near_best = [problem.start(problem.affine_of(e)) for k in found for e in (k.start, k.exterior)]
+    plain, aimed = (problem, problem.starts() + near_best), (replace(problem, accelerated=True), near_best)
+    # where plain repetition runs away from its fixed point, the steps are aimed at it
+    for attempt, beginnings in [aimed] if problem.statistics(best).radius >= 1 else [plain, aimed]:
+        if request.prior == "initial" and prior:
+            beginnings = [attempt.start(attempt.affine_of(prior.exterior))]
+        for x0 in beginnings:  # the first that ends beside the best perspective solution; the linear start leads
+            trace = solve(attempt, x0, ORTHOGONAL)
+            end = Exterior.from_vector(trace.last.x)
+            if _sound(control, trace, best) and all(apart(end, best) < apart(end, k.exterior) for k in found[1:]):
+                return attempt, x0, found
+    return problem, _best_run(problem, plain[1], control)[0], found
 
 
 def _best_run(problem: Orthogonal, beginnings: list[np.ndarray], control: Control) -> tuple[np.ndarray, Trace]:
