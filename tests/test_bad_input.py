@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from projects import good_block
+from tests.projects import good_block
 from solvers import Block, Image, Observations, Prior
 from solvers.cli import main
 from solvers.io import files, write_project

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from projects import AT, good_block
+from tests.projects import AT, good_block
 from solvers import cli, simulation, workflows
 from solvers.cli import main
 from solvers.io import load_trace, read_project, read_truth, write_project
