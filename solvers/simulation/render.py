@@ -53,11 +53,13 @@ def _colours(camera: Interior, exterior: Exterior, terrain: Terrain, ground: np.
     seen = cv2.remap(ground, u.astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
     colour = seen.astype(np.float32)
     for target, pixel in zip(targets, project(camera, exterior, targets), strict=True):
-        reach = 2 * RING[3] * camera.c / camera.pitch.min() / np.linalg.norm(target - exterior.centre)  # px, with room
+        metres = float(np.linalg.norm(target - exterior.centre)) * camera.pitch.min() / camera.c  # of one camera pixel
+        reach = 2 * RING[3] / metres
         rows, cols = (_between(pixels[:, 0, 1], pixel[1], reach), _between(pixels[0, :, 0], pixel[0], reach))
         ray = rays[rows, cols]
         board = exterior.centre[:2] + ray[..., :2] * ((target[2] - exterior.centre[2]) / ray[..., 2])[..., None]
-        colour[rows, cols] = _ring(np.linalg.norm(board - target[:2], axis=-1), colour[rows, cols])
+        step = metres * (pixels[0, 1, 0] - pixels[0, 0, 0])
+        colour[rows, cols] = _ring(np.linalg.norm(board - target[:2], axis=-1), step, colour[rows, cols])
     return colour
 
 
@@ -65,7 +67,7 @@ def _between(values: np.ndarray, middle: float, reach: float) -> slice:
     return slice(*np.searchsorted(values, [middle - reach, middle + reach]))
 
 
-def _ring(radius: np.ndarray, ground: np.ndarray) -> np.ndarray:
-    """Colours (..., 3) at distances (...,) m from the middle of a target on ground colours (..., 3)."""
-    white = (radius < RING[0]) | ((radius >= RING[1]) & (radius < RING[2]))
-    return np.where((radius < RING[3])[..., None], np.where(white[..., None], _WHITE, _DARK), ground)
+def _ring(radius: np.ndarray, step: float, ground: np.ndarray) -> np.ndarray:
+    """Colours (..., 3) at distances (...,) m from a target's middle on `ground` (..., 3), edges softened over `step` m."""
+    dot, inner, outer, board = (np.clip((edge - radius) / step + 0.5, 0, 1)[..., None] for edge in RING)
+    return ground + board * (_DARK - ground) + (dot + outer - inner) * (_WHITE - _DARK)
