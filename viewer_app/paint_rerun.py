@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from solvers.adjustment import SCALARS
 from solvers.block import Block
 from solvers.geometry import Exterior, LocalFrame
 from solvers.orientation.result import Orientation
@@ -32,8 +33,7 @@ if TYPE_CHECKING:
 __all__ = ["TIMELINE", "open_log", "record", "serve"]
 
 TIMELINE = "iteration"
-LOGARITHMIC = ("cost", "sigma0", "step", "gradient")
-PLOTTED = (*LOGARITHMIC, "damping", "trials")
+LOGARITHMIC = ("cost", "sigma0", "step")
 KINDS = {"control": theme.CONTROL, "check": theme.CHECK, "off": theme.INITIAL}
 JPEG_QUALITY = 85
 RESIDUAL_SHARE = 0.08
@@ -64,6 +64,7 @@ def record(path: str | Path, block: Block, orientations: Sequence[Orientation], 
             stream.send_recording_name(block.name)
             painter = _Painter(stream, block, frame, _depth(replays, site))
             painter.still(orientations, photos, truth or {})
+            stream.flush()  # what stands still comes first in the file, so that a slow browser shows it first
             for replay, orientation in zip(replays, orientations, strict=True):
                 painter.trace(replay, orientation)
             for image in dict.fromkeys(r.image for r in replays):
@@ -142,7 +143,7 @@ class _Painter:
         thin, dot = rr.Radius.ui_points(0.6), rr.Radius.ui_points(2.5)
         kinds = [KINDS[kind] for kind in replay.kinds]
         self._static(f"{image}/photo/observed", rr.Points2D(drawn(replay.pixels), colors=kinds, radii=rr.Radius.ui_points(4),
-                                                            labels=replay.names))
+                                                            labels=replay.names, show_labels=False))
         for row in replay.rows:
             self._at(row.index)
             projected = rr.Points2D(drawn(replay.projected(row)), colors=colour, radii=dot)
@@ -160,7 +161,7 @@ class _Painter:
     def _series(self, replay: Replay, path: str, colour: theme.Colour) -> None:
         """Each scalar as it is in the trace, the decimal logarithm of those that fall by powers of ten, and the elements."""
         index = np.array([row.index for row in replay.rows])
-        for name in PLOTTED:
+        for name in SCALARS:
             values = np.array([getattr(row, name) for row in replay.rows], float)
             self._curve(f"{path}/{name}", f"{replay.model} {name}", index, values, colour)
             if name in LOGARITHMIC:
@@ -208,11 +209,11 @@ class _Painter:
 
 
 def _depth(replays: Sequence[Replay], site: np.ndarray) -> float:
-    """Depth (m) of image planes: about a twelfth of the way to the ground."""
+    """Depth (m) of image planes: a seventh of the way to the ground."""
     if not replays:
         return 1.0
     far = np.median([np.linalg.norm(r.exterior(r.rows[-1]).centre - site.mean(axis=0)) for r in replays])
-    return nice(max(0.08 * float(far), 0.07 * float(np.linalg.norm(np.ptp(site, axis=0))), 1e-3))
+    return max(float(far) / 7, 1e-3)
 
 
 def _identity(block: Block, replays: Sequence[Replay]) -> str:

@@ -45,7 +45,7 @@ def _space(replays: Sequence[Replay], site: np.ndarray) -> rrb.Spatial3DView:
 
     seen = np.concatenate([site, *[r.exterior(r.rows[-1]).centre[None] for r in replays]])
     low, high = (seen.min(axis=0), seen.max(axis=0)) if len(seen) else (np.full(3, -1.0), np.ones(3))
-    target, reach = (low + high) / 2, 1.3 * max(float(np.linalg.norm(high - low)), 1e-3)
+    target, reach = (low + high) / 2, 1.1 * max(float(np.linalg.norm(high - low)), 1e-3)
     eye = rrb.EyeControls3D(position=target + reach * np.array([0.45, -0.75, 0.35]), look_target=target, eye_up=(0, 0, 1))
     photos = [f"- /images/{part(name)}/photo/**" for name in dict.fromkeys(r.image for r in replays)]
     return rrb.Spatial3DView(origin="/", name="Block", contents=["/images/**", "/points/**", *photos],
@@ -82,4 +82,4 @@ def _curves(replays: Sequence[Replay], kind: str, title: str) -> rrb.TimeSeriesV
     import rerun.blueprint as rrb
 
     paths = [f"/plots/{part(r.image)}/{r.model}/{kind}/**" for r in replays]
-    return rrb.TimeSeriesView(origin="/plots", contents=paths, name=title, plot_legend=rrb.PlotLegend(visible=True))
+    return rrb.TimeSeriesView(origin="/plots", contents=paths, name=title, plot_legend=rrb.PlotLegend(corner="RightTop"))

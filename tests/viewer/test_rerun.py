@@ -1,0 +1,331 @@
+"""Recordings: what is in the file is what is in the trace, and rerun's viewer shows it without speaking to anyone else."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from dataclasses import replace
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rerun as rr
+from PIL import Image
+from rerun.chunk import RrdReader
+
+from solvers import Block, Exterior
+from solvers.adjustment import SCALARS
+from solvers.cameras import project
+from solvers.errors import BadProject, Unsupported
+from solvers.geometry import LocalFrame, rotation, to_opencv
+from solvers.orientation import Orientation, Request, orient
+from tests.browser import chromium_page, require_chromium, wait_until
+from tests.synthetic import REAL_CAMERA, block_of, prior_of, scene
+from viewer_app import rerun_server, theme
+from viewer_app.paint_rerun import record
+from viewer_app.replay import ELEMENTS, Replay
+from viewer_app.rerun_server import serve
+
+ORIGIN = np.array([412000.0, 5400000.0, 250.0])
+NAME = "DSC 1/left.jpg"
+PART = r"DSC\ 1_left.jpg"
+CHECKS = ("P34", "P35", "P36")
+MODELS = ("perspective", "orthogonal")
+
+
+class Site:
+    """A tilted image of 33 control and 3 check points at UTM-size coordinates, and both its orientations."""
+
+    def __init__(self) -> None:
+        points, seen = scene(np.random.default_rng(8), n=36, m=rotation(0.15, -0.1, 1.6), interior=REAL_CAMERA)
+        self.true = Exterior(seen.m, seen.centre + ORIGIN)
+        prior = prior_of(self.true, 1.0, 2.0, np.random.default_rng(1))
+        block = block_of(points + ORIGIN, self.true, REAL_CAMERA, noise_px=0.5, sigma_px=0.5, seed=2, prior=prior)
+        for name in CHECKS:
+            block = block.with_role(name, "check")
+        self.block: Block = replace(block, images=(replace(block.images[0], name=NAME),))
+        self.frame = LocalFrame.around(self.block.points.xyz, "local")
+        self.orientations: list[Orientation] = [orient(self.block, Request(NAME, model)) for model in MODELS]
+        elements = [*self.true.centre, *np.degrees(self.true.angles)]
+        keys = ("X", "Y", "Z", "omega_deg", "phi_deg", "kappa_deg")
+        self.truth: dict[str, Any] = {"images": {NAME: dict(zip(keys, elements, strict=True))}}
+        rows, cols = np.mgrid[:200, :300]
+        self.photo = np.stack([rows % 256, cols % 256, (rows + cols) % 256], axis=-1).astype(np.uint8)
+
+    def record(self, path: Path) -> None:
+        record(path, self.block, self.orientations, {NAME: self.photo}, self.truth)
+
+
+class Recorded:
+    """The values of a recording by entity path and component: (iterations or None where static, values)."""
+
+    def __init__(self, path: Path) -> None:
+        self.timelines: set[str] = set()
+        self.values: dict[tuple[str, str], list[tuple[int | None, Any]]] = {}
+        for chunk in RrdReader(path).stream():
+            self.timelines |= set(chunk.timeline_names)
+            batch = chunk.to_record_batch()
+            index = batch["iteration"].to_pylist() if "iteration" in batch.schema.names else [None] * batch.num_rows
+            for name in batch.schema.names:
+                if name not in ("rerun.controls.RowId", "iteration"):
+                    found = self.values.setdefault((chunk.entity_path, name), [])
+                    found += [(i, v) for i, v in zip(index, batch[name].to_pylist(), strict=True) if v is not None]
+
+    def rows(self, path: str, component: str) -> tuple[list[int], np.ndarray]:
+        """Iterations and values, in the order of the iterations."""
+        found = sorted(self.values[path, component])
+        return [i for i, _ in found if i is not None], np.array([v for _, v in found], float)
+
+    def one(self, path: str, component: str) -> Any:
+        """The only, static, value."""
+        ((index, value),) = self.values[path, component]
+        assert index is None
+        return value
+
+
+@pytest.fixture(scope="module")
+def site() -> Iterator[Site]:
+    rr.set_strict_mode(True)  # a wrong argument raises instead of warning
+    yield Site()
+    rr.set_strict_mode(False)
+
+
+@pytest.fixture(scope="module")
+def path(site: Site, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("run") / "recording.rrd"
+    site.record(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def recorded(path: Path) -> Recorded:
+    return Recorded(path)
+
+
+# -- the recording
+
+
+def test_rerun_itself_finds_no_fault(path: Path) -> None:
+    command = [rerun_server.program(), "rrd", "verify", str(path)]
+    done = subprocess.run(command, env={**os.environ, "CI": "1"}, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_only_the_iterations_are_a_timeline(recorded: Recorded) -> None:
+    assert recorded.timelines == {"iteration"}
+
+
+@pytest.mark.parametrize("k", [0, 1])
+@pytest.mark.parametrize("name", SCALARS)
+def test_scalars_are_those_of_the_trace(site: Site, recorded: Recorded, k: int, name: str) -> None:
+    expected = np.asarray(site.orientations[k].trace.column(name), float)
+    known = np.flatnonzero(np.isfinite(expected))
+    index, values = recorded.rows(f"/plots/{PART}/{MODELS[k]}/{name}", "Scalars:scalars")
+    assert len(known) >= 3 and index == known.tolist()
+    np.testing.assert_array_equal(values[:, 0], expected[known])
+
+
+@pytest.mark.parametrize("k", [0, 1])
+def test_elements_end_at_zero_and_start_where_the_trace_did(site: Site, recorded: Recorded, k: int) -> None:
+    trace = site.orientations[k].trace
+    first, last = (Exterior.from_vector(row.x) for row in (trace.rows[0], trace.last))
+    for i, name in enumerate(ELEMENTS):
+        kind = "position" if i < 3 else "attitude"
+        _, values = recorded.rows(f"/plots/{PART}/{MODELS[k]}/{kind}/{name}", "Scalars:scalars")
+        difference = (first.centre - last.centre)[i] if i < 3 else np.degrees(first.angles - last.angles)[i - 3]
+        assert values[-1, 0] == 0.0 and values[0, 0] == pytest.approx(difference, abs=1e-9)
+
+
+@pytest.mark.parametrize("k", [0, 1])
+def test_cameras_stand_where_the_rows_say(site: Site, recorded: Recorded, k: int) -> None:
+    rows, camera = site.orientations[k].trace.rows, f"/images/{PART}/{MODELS[k]}/camera"
+    index, places = recorded.rows(camera, "Transform3D:translation")
+    _, turns = recorded.rows(camera, "Transform3D:mat3x3")
+    assert index == [row.index for row in rows]
+    assert np.abs(places).max() < 2000  # the local frame: UTM numbers would lose their centimetres in float32
+    np.testing.assert_allclose(places[:, 0], [row.x[:3] for row in rows], atol=1e-4)
+    looks = [to_opencv(Exterior.from_vector(row.x))[0][2] for row in rows]  # the optical axis in the local frame
+    np.testing.assert_allclose(turns.reshape(-1, 3, 3)[:, 2], looks, atol=1e-6)  # column-major: the third column
+
+
+def test_truth_prior_and_start_are_there(site: Site, recorded: Recorded) -> None:
+    prior = site.block.images[0].prior
+    assert prior is not None and prior.centre is not None
+    for who, centre in (("truth", site.frame.to_local(site.true.centre)), ("georeferenced", site.frame.to_local(prior.centre)),
+                        ("initial", site.orientations[0].trace.rows[0].x[:3])):
+        np.testing.assert_allclose(recorded.one(f"/images/{PART}/{who}/camera", "Transform3D:translation")[0], centre, atol=1e-4)
+    colours = {who: recorded.one(f"/images/{PART}/{who}/camera", "Pinhole:color")[0] >> 8
+               for who in ("initial", "truth", "georeferenced", *MODELS)}
+    assert colours == {name: (r << 16) + (g << 8) + b for name, (r, g, b) in theme.legend().items() if name in colours}
+
+
+def test_points_carry_their_names(site: Site, recorded: Recorded) -> None:
+    for kind in ("control", "check"):
+        rows = [i for i, role in enumerate(site.block.points.role) if role == kind]
+        assert recorded.one(f"/points/{kind}", "Points3D:labels") == [site.block.points.names[i] for i in rows]
+        xyz = recorded.one(f"/points/{kind}", "Points3D:positions")
+        np.testing.assert_allclose(xyz, site.block.points.xyz[rows] - site.frame.origin, atol=1e-4)
+
+
+@pytest.mark.parametrize("k", [0, 1])
+def test_photo_shows_measured_and_projected_points(site: Site, recorded: Recorded, k: int) -> None:
+    photo, trace = f"/images/{PART}/photo", site.orientations[k].trace
+    names = recorded.values[f"{photo}/observed", "Points2D:labels"][0][1]
+    observed = np.array(recorded.values[f"{photo}/observed", "Points2D:positions"][0][1])
+    order = [site.block.point_index(name) for name in names]
+    assert sorted(order) == list(range(36))
+    np.testing.assert_allclose(observed, site.block.observations.pixel[order] + 0.5, atol=1e-3)  # rerun counts from the corner
+    index, projected = recorded.rows(f"{photo}/{MODELS[k]}/projected", "Points2D:positions")
+    xyz = site.frame.to_local(site.block.points.xyz[order])
+    for i, row in enumerate(trace.rows):
+        np.testing.assert_allclose(projected[i], project(REAL_CAMERA, Exterior.from_vector(row.x), xyz) + 0.5, atol=2e-3)
+    assert index == [row.index for row in trace.rows]
+
+
+def test_residual_vectors_of_both_models_share_their_exaggeration(site: Site, recorded: Recorded) -> None:
+    photo, last = f"/images/{PART}/photo", max(len(o.trace) for o in site.orientations) - 1
+    words = dict(recorded.values[f"{photo}/scale", "Points2D:labels"])[last][0]
+    factor = float(words.split("×")[1].split(",")[0])
+    for model, orientation in zip(MODELS, site.orientations, strict=True):
+        index, _ = recorded.rows(f"{photo}/{model}/residuals", "LineStrips2D:strips")
+        assert index == list(range(last + 1))  # the shorter trace keeps its last row
+        strips = np.array(dict(recorded.values[f"{photo}/{model}/residuals", "LineStrips2D:strips"])[last])
+        np.testing.assert_allclose((strips[:33, 1] - strips[:33, 0]) / factor, orientation.residuals, atol=1e-3)
+
+
+@pytest.mark.parametrize("k", [0, 1])
+def test_rays_go_from_the_centre_through_the_measured_point(site: Site, recorded: Recorded, k: int) -> None:
+    trace = site.orientations[k].trace
+    strips = np.array(dict(recorded.values[f"/images/{PART}/{MODELS[k]}/rays", "LineStrips3D:strips"])[trace.last.index])
+    exterior = Exterior.from_vector(trace.last.x)
+    np.testing.assert_allclose(strips[:, 0], np.tile(exterior.centre, (33, 1)), atol=1e-4)
+    np.testing.assert_allclose(project(REAL_CAMERA, exterior, strips[:, 1]), trace.manifest["pixels"], atol=5e-3)
+    control = site.frame.to_local(site.block.points.xyz[:33])
+    assert np.linalg.norm(strips[:, 1] - control, axis=1).max() < 0.2  # metres: they end at their points
+
+
+def test_normal_matrix_inverts_to_the_correlations(site: Site, recorded: Recorded) -> None:
+    orientation = site.orientations[0]
+    tensor = dict(recorded.values[f"/normal/{PART}/perspective", "Tensor:data"])[orientation.trace.last.index][0]
+    assert [int(n) for n in tensor["shape"]] == [6, 6]
+    q = np.linalg.inv(np.reshape(tensor["buffer"], (6, 6)))
+    found, expected = (c / np.sqrt(np.outer(np.diag(c), np.diag(c))) for c in (q, orientation.covariance))
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+
+
+def test_log_says_every_row_and_why_it_stopped(site: Site, recorded: Recorded) -> None:
+    for model, orientation in zip(MODELS, site.orientations, strict=True):
+        said = recorded.values[f"/log/{PART}/{model}", "TextLog:text"]
+        assert [i for i, _ in said][:len(orientation.trace)] == [row.index for row in orientation.trace.rows]
+        assert any(str(text[0]).endswith(f"stopped by {orientation.trace.last.stop}") for _, text in said)
+        assert all(any(warning in text[0] for _, text in said) for warning in orientation.warnings)
+
+
+def test_about_tells_the_origin(site: Site, recorded: Recorded) -> None:
+    text = recorded.one("/about", "TextDocument:text")[0]
+    assert all(f"{v:.10g}" in text for v in site.frame.origin)
+
+
+def test_same_run_same_recording(site: Site, path: Path, recorded: Recorded, tmp_path: Path) -> None:
+    site.record(tmp_path / "again.rrd")
+    assert Recorded(tmp_path / "again.rrd").values == recorded.values
+    first, second = (RrdReader(p).recordings()[0].recording_id for p in (path, tmp_path / "again.rrd"))
+    assert first == second
+
+
+def test_a_failure_leaves_nothing_behind(site: Site, tmp_path: Path) -> None:
+    kept = tmp_path / "recording.rrd"
+    kept.write_bytes(b"an earlier run")
+    with pytest.raises(KeyError):
+        record(kept, site.block, site.orientations, {}, {"images": {NAME: {"X": 0.0}}})
+    assert kept.read_bytes() == b"an earlier run" and list(tmp_path.iterdir()) == [kept]
+
+
+def test_normal_matrix_leaves_out_what_lies_behind_the_camera(site: Site) -> None:
+    replay = Replay.of(site.orientations[0].trace, site.block, site.frame)
+    low = replace(replay.rows[0], x=np.concatenate([replay.xyz.mean(axis=0), replay.rows[0].x[3:]]))
+    assert np.isnan(replay.projected(low)).any() and np.isfinite(replay.normal(low)).all()
+
+
+# -- rerun's viewer
+
+
+def _get(url: str, host: str | None = None) -> tuple[int, dict[str, str], bytes]:
+    request = urllib.request.Request(url, headers={"Host": host} if host else {})
+    try:
+        with urllib.request.urlopen(request, timeout=30) as answer:
+            return answer.status, dict(answer.headers), answer.read()
+    except urllib.error.HTTPError as error:
+        return error.code, dict(error.headers), error.read()
+
+
+def test_server_gives_page_and_recording_to_this_machine_alone(path: Path) -> None:
+    with serve(path) as served:
+        status, headers, body = _get(served.url)
+        assert status == 200 and b"https://" not in b"".join(line for line in body.splitlines() if b"<link" in line)
+        assert "connect-src 'self' data:;" in headers["Content-Security-Policy"]
+        assert "frame-ancestors 'self' http://127.0.0.1:* http://localhost:*" in headers["Content-Security-Policy"]
+        assert _get(f"{served.origin}/re_viewer_bg.wasm")[2][:4] == b"\0asm"
+        assert _get(f"{served.origin}/recording.rrd")[2] == path.read_bytes()
+        assert _get(f"{served.origin}/../{path.name}")[0] == _get(f"{served.origin}/etc/passwd")[0] == 404
+        assert _get(f"{served.origin}/recording.rrd", host="rebound.example")[0] == 403
+        assert served.origin.startswith("http://127.0.0.1:")
+    served.close()
+    with pytest.raises(urllib.error.URLError):
+        _get(served.url)
+
+
+def test_the_program_ends_with_the_reading(monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[subprocess.Popen[bytes]] = []
+
+    class Watched(subprocess.Popen):
+        def __init__(self, *args: Any, **options: Any) -> None:
+            super().__init__(*args, **options)
+            started.append(self)
+
+    monkeypatch.setattr(rerun_server.subprocess, "Popen", Watched)
+    rerun_server.web_viewer.cache_clear()
+    assert set(rerun_server.web_viewer()) == set(rerun_server.PAGE)
+    assert len(started) == 1 and started[0].returncode is not None
+
+
+def test_process_ends_while_it_serves(path: Path) -> None:
+    code = f"from viewer_app.rerun_server import serve; print(serve({str(path)!r}).url)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0 and done.stdout.startswith("http://127.0.0.1:") and not done.stderr
+
+
+def test_errors_are_one_sentence(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(BadProject, match=r"none\.rrd: there is no recording; solve the project first"):
+        serve(tmp_path / "none.rrd")
+    rerun_server.web_viewer.cache_clear()
+    monkeypatch.setattr(rerun_server.shutil, "which", lambda *_, **__: None)
+    with pytest.raises(Unsupported, match="rerun program is missing"):
+        serve(path)
+    monkeypatch.setattr(rerun_server, "program", lambda: sys.executable)  # a program that ends at once
+    with pytest.raises(Unsupported, match="ended with code"):
+        serve(path)
+
+
+@pytest.mark.browser
+def test_it_opens_in_a_browser_and_speaks_to_nobody_else(path: Path) -> None:
+    require_chromium()
+    with serve(path) as served, chromium_page(served.url, size=(1000, 640)) as (page, log):
+        def drawn() -> bool:
+            picture = np.asarray(Image.open(BytesIO(page.screenshot(timeout=120_000))).convert("RGB"), int)
+            near = [np.abs(picture - colour).sum(axis=2) < 30 for colour in (theme.PERSPECTIVE, theme.ORTHOGONAL)]
+            if os.environ.get("COLLINEA_SHOTS"):
+                Image.fromarray(picture.astype(np.uint8)).save(Path(os.environ["COLLINEA_SHOTS"]) / "rerun.png")
+            return all(n.sum() > 100 for n in near)
+
+        wait_until(page, drawn, "rerun to draw both models in their colours", timeout=240)
+        assert log.external == []
+        assert f"{served.origin}/recording.rrd" in log.answered
+        assert all(url.startswith(served.origin) for url in log.answered)
+        assert not [error for error in log.errors if "Failed to fetch" not in error]  # its refused calls home
