@@ -6,6 +6,8 @@ ideal = measured + delta(measured). Reference: FORMULAS section 9; Fraser 1997, 
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 TERMS = ("k1", "k2", "k3", "p1", "p2", "b1", "b2")
@@ -49,6 +51,14 @@ def correct_derivatives(xy: np.ndarray) -> np.ndarray:
     return np.stack([np.stack(row_x, -1), np.stack(row_y, -1)], axis=-2)
 
 
+@lru_cache(maxsize=64)
+def fold(k1: float, k2: float, k3: float) -> float:
+    """Square of the measured radius [mm^2] at which the radial correction folds back on itself; inf where it never does."""
+    roots = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])  # d ideal radius / d measured radius = 0
+    real = roots.real[(np.abs(roots.imag) < 1e-9 * np.abs(roots)) & (roots.real > 0)]
+    return float(real.min(initial=np.inf))
+
+
 def distort(coefficients: np.ndarray, ideal: np.ndarray) -> np.ndarray:
     """Measured coordinates (..., 2) mm of ideal coordinates (..., 2) mm: the inverse of `correct`, by Newton.
 
@@ -74,7 +84,7 @@ def distort(coefficients: np.ndarray, ideal: np.ndarray) -> np.ndarray:
         live[live] = moved & np.isfinite(step).all(axis=1)
         if not live.any():
             break
-    unfolded = np.linalg.det(correct_jacobian(coefficients, xy)) > 0
+    unfolded = (np.linalg.det(correct_jacobian(coefficients, xy)) > 0) & ((xy**2).sum(axis=1) < fold(*map(float, coefficients[:3])))
     missed = np.abs(correct(coefficients, xy) - target).max(axis=1) > 1e-9 * scale
     xy[missed | ~unfolded | ~np.isfinite(xy).all(axis=1)] = np.nan
     return xy.reshape(shape)

@@ -51,19 +51,19 @@ def exp(d: np.ndarray) -> np.ndarray:
 
 
 def log(m: np.ndarray) -> np.ndarray:
-    """Rotation vector (3,) [rad], length at most pi, of a rotation (3, 3)."""
-    vee = np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]]) / 2
-    s, c = np.linalg.norm(vee), (np.trace(m) - 1) / 2
-    theta = np.arctan2(s, c)
-    if s > 1e-6:
-        return vee * (theta / s)
-    if c > 0:
-        return vee
-    axis2 = np.clip((np.diag(m) + 1) / 2, 0, None)  # theta near pi: the axis is the largest column of (M + I) / 2
-    j = int(np.argmax(axis2))
-    axis = (m[:, j] + np.eye(3)[j]) / 2 / np.sqrt(axis2[j])
-    axis = axis / np.linalg.norm(axis)
-    return theta * (axis if np.dot(axis, vee) >= 0 else -axis)
+    """Rotation vector (3,) [rad], length at most pi, of a rotation (3, 3), by its quaternion: exact digits up to pi.
+
+    Reference: Shepperd 1978, "Quaternion from rotation matrix" (the largest component first).
+    """
+    t = np.trace(m)
+    vee = np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
+    outer = np.empty((4, 4))  # 4 q q^T, scalar first
+    outer[0, 0], outer[0, 1:], outer[1:, 0] = 1 + t, vee, vee
+    outer[1:, 1:] = m + m.T + (1 - t) * np.eye(3)
+    q = outer[np.argmax(np.diag(outer))]
+    q = q / np.linalg.norm(q) * (1 if q[0] >= 0 else -1)
+    s = float(np.linalg.norm(q[1:]))
+    return q[1:] * (2 * np.arctan2(s, q[0]) / s if s > 0 else 2.0)
 
 
 def closest_rotation(a: np.ndarray) -> np.ndarray:
