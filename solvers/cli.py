@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -117,7 +118,8 @@ def _open_viewer(args: argparse.Namespace, folder: Path) -> int:
     from viewer_app.app import run
 
     _emit(args, {"project": str(folder), "host": args.host, "port": args.port}, "")
-    run(folder, host=args.host, port=args.port, open_browser=not args.no_browser, token=args.token)
+    with contextlib.redirect_stdout(sys.stderr if args.json == "-" else sys.stdout):
+        run(folder, host=args.host, port=args.port, open_browser=not args.no_browser, token=args.token)
     return 0
 
 

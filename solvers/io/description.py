@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -126,6 +127,13 @@ def describe(block: Block, origin: str = "center") -> dict[str, Any]:
     out["cameras"] = {name: _describe_camera(camera) for name, camera in block.cameras.items()}
     out["images"] = {image.name: _describe_image(image) for image in block.images}
     return out
+
+
+def to_toml(value: Mapping[str, Any]) -> str:
+    """TOML of plain values, every list of numbers on one line."""
+    import tomli_w
+
+    return re.sub(r"\[\n((?: +[^\s\[\]\"]+,\n)+)\]", lambda m: f"[{', '.join(m[1].replace(',', ' ').split())}]", tomli_w.dumps(value))
 
 
 def _load(path: Path) -> Section:

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..block import ROLES, Block, Observations, Points
 from ..errors import BadProject, BadTable
-from .description import ORIGINS, describe, read_description
+from .description import ORIGINS, describe, read_description, to_toml
 from .files import decode_utf8, read_bytes, write_json, write_text
 from .tables import Row, read_table
 
@@ -46,15 +46,13 @@ def write_project(block: Block, folder: Path | str, *, truth: Mapping[str, Any] 
     """
     if pixel_origin not in ORIGINS:
         raise BadProject(f"pixel origin '{pixel_origin}' is not known; choose center or corner")
-    import tomli_w
-
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / "points.csv", _points_table(block.points))
     write_text(folder / "observations.csv", _observations_table(block, pixel_origin))
     if truth is not None:
         write_json(folder / "truth.json", truth)
-    write_text(folder / "project.toml", tomli_w.dumps(describe(block, pixel_origin)))
+    write_text(folder / "project.toml", to_toml(describe(block, pixel_origin)))
 
 
 def write_observations(block: Block, folder: Path | str) -> None:

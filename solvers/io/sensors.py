@@ -34,4 +34,4 @@ def known_pitch(model: str, width: int, height: int) -> float | None:
     A photo with fewer pixels than the camera's full ones is taken to show the whole sensor at a lower resolution.
     """
     found = SENSORS.get(re.sub(r"[^a-z0-9]", "", model.lower()))
-    return None if found is None else found[0] * 1e-3 * found[1] / max(width, height)
+    return None if found is None else round(found[0] * 1e-3 * found[1] / max(width, height), 9)
