@@ -15,8 +15,12 @@ import numpy as np
 from numba import njit
 
 FAST = {"reassoc", "contract", "nsz", "arcp"}  # no nnan, no ninf: NaN checks stay alive
-kernel = njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-entry = njit(cache=True, error_model="numpy", no_cfunc_wrapper=True, nogil=True)
+# _nrt=False: nothing in here allocates, and counting references would cost more than the arithmetic
+_SMALL = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+kernel = njit(no_cpython_wrapper=True, _nrt=False, **_SMALL)
+fast_kernel = njit(no_cpython_wrapper=True, _nrt=False, fastmath=FAST, **_SMALL)
+python_kernel = njit(_nrt=False, nogil=True, **_SMALL)
+entry = njit(nogil=True, **_SMALL)
 OK, AMBIGUOUS, TOO_FEW, COLLINEAR, DIVERGED, NOT_FINITE, BEHIND_CAMERA, OUTLIER, WEAK, SINGULAR = range(10)
 MAX_MINIMA = 12
 MAX_STARTS = 40
@@ -24,7 +28,7 @@ AMBIGUOUS_CHI2 = 36.0  # D = 6: FORMULAS of the two reversal solutions
 WEAK_ROTATION = 0.0873  # rad (5 degrees): beyond it the linear covariance says nothing
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True, fastmath=FAST)
+@fast_kernel
 def normal(Y, n, R, t, A, g):
     """Lower normal matrix A (6, 6) and right side g (6,) of the tangent (e, d); returns the cost, inf behind the camera."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22 = (
@@ -132,40 +136,83 @@ def cost_of(Y, n, R, t):
 
 @kernel
 def cholesky(A, damping, L):
-    """L with unit-free Marquardt damping of the diagonal; its diagonal holds the reciprocals. False when not definite."""
-    for j in range(6):
-        s = A[j, j] * (1.0 + damping)
-        floor = 1e-14 * s
-        for k in range(j):
-            s -= L[j, k] * L[j, k]
-        if not s > floor:
-            return False
-        inv = 1.0 / np.sqrt(s)
-        L[j, j] = inv
-        for i in range(j + 1, 6):
-            r = A[i, j]
-            for k in range(j):
-                r -= L[i, k] * L[j, k]
-            L[i, j] = r * inv
-    return True
+    """L with Marquardt damping of the diagonal, unrolled; its diagonal holds the reciprocals. False when not definite."""
+    k = 1.0 + damping
+    d0 = A[0, 0] * k
+    i0 = 1.0 / np.sqrt(d0)
+    l10 = A[1, 0] * i0
+    l20 = A[2, 0] * i0
+    l30 = A[3, 0] * i0
+    l40 = A[4, 0] * i0
+    l50 = A[5, 0] * i0
+    d1 = A[1, 1] * k - l10 * l10
+    i1 = 1.0 / np.sqrt(d1)
+    l21 = (A[2, 1] - l20 * l10) * i1
+    l31 = (A[3, 1] - l30 * l10) * i1
+    l41 = (A[4, 1] - l40 * l10) * i1
+    l51 = (A[5, 1] - l50 * l10) * i1
+    d2 = A[2, 2] * k - l20 * l20 - l21 * l21
+    i2 = 1.0 / np.sqrt(d2)
+    l32 = (A[3, 2] - l30 * l20 - l31 * l21) * i2
+    l42 = (A[4, 2] - l40 * l20 - l41 * l21) * i2
+    l52 = (A[5, 2] - l50 * l20 - l51 * l21) * i2
+    d3 = A[3, 3] * k - l30 * l30 - l31 * l31 - l32 * l32
+    i3 = 1.0 / np.sqrt(d3)
+    l43 = (A[4, 3] - l40 * l30 - l41 * l31 - l42 * l32) * i3
+    l53 = (A[5, 3] - l50 * l30 - l51 * l31 - l52 * l32) * i3
+    d4 = A[4, 4] * k - l40 * l40 - l41 * l41 - l42 * l42 - l43 * l43
+    i4 = 1.0 / np.sqrt(d4)
+    l54 = (A[5, 4] - l50 * l40 - l51 * l41 - l52 * l42 - l53 * l43) * i4
+    d5 = A[5, 5] * k - l50 * l50 - l51 * l51 - l52 * l52 - l53 * l53 - l54 * l54
+    i5 = 1.0 / np.sqrt(d5)
+    L[0, 0] = i0
+    L[1, 0] = l10
+    L[2, 0] = l20
+    L[3, 0] = l30
+    L[4, 0] = l40
+    L[5, 0] = l50
+    L[1, 1] = i1
+    L[2, 1] = l21
+    L[3, 1] = l31
+    L[4, 1] = l41
+    L[5, 1] = l51
+    L[2, 2] = i2
+    L[3, 2] = l32
+    L[4, 2] = l42
+    L[5, 2] = l52
+    L[3, 3] = i3
+    L[4, 3] = l43
+    L[5, 3] = l53
+    L[4, 4] = i4
+    L[5, 4] = l54
+    L[5, 5] = i5
+    return (
+        d0 > 1e-14 * A[0, 0]
+        and d1 > 1e-14 * A[1, 1]
+        and d2 > 1e-14 * A[2, 2]
+        and d3 > 1e-14 * A[3, 3]
+        and d4 > 1e-14 * A[4, 4]
+        and d5 > 1e-14 * A[5, 5]
+    )
 
 
 @kernel
 def solve(L, g, x):
-    """x with L L' x = g; returns g . x, the fall of the cost that the linear model promises."""
-    promised = 0.0
-    for i in range(6):
-        s = g[i]
-        for k in range(i):
-            s -= L[i, k] * x[k]
-        x[i] = s * L[i, i]
-        promised += x[i] * x[i]
-    for i in range(5, -1, -1):
-        s = x[i]
-        for k in range(i + 1, 6):
-            s -= L[k, i] * x[k]
-        x[i] = s * L[i, i]
-    return promised
+    """x with L L' x = g, unrolled; returns g . x, the fall of the cost that the linear model promises."""
+    y0 = g[0] * L[0, 0]
+    y1 = (g[1] - L[1, 0] * y0) * L[1, 1]
+    y2 = (g[2] - L[2, 0] * y0 - L[2, 1] * y1) * L[2, 2]
+    y3 = (g[3] - L[3, 0] * y0 - L[3, 1] * y1 - L[3, 2] * y2) * L[3, 3]
+    y4 = (g[4] - L[4, 0] * y0 - L[4, 1] * y1 - L[4, 2] * y2 - L[4, 3] * y3) * L[4, 4]
+    y5 = (g[5] - L[5, 0] * y0 - L[5, 1] * y1 - L[5, 2] * y2 - L[5, 3] * y3 - L[5, 4] * y4) * L[5, 5]
+    x5 = y5 * L[5, 5]
+    x4 = (y4 - L[5, 4] * x5) * L[4, 4]
+    x3 = (y3 - L[4, 3] * x4 - L[5, 3] * x5) * L[3, 3]
+    x2 = (y2 - L[3, 2] * x3 - L[4, 2] * x4 - L[5, 2] * x5) * L[2, 2]
+    x1 = (y1 - L[2, 1] * x2 - L[3, 1] * x3 - L[4, 1] * x4 - L[5, 1] * x5) * L[1, 1]
+    x0 = (y0 - L[1, 0] * x1 - L[2, 0] * x2 - L[3, 0] * x3 - L[4, 0] * x4 - L[5, 0] * x5) * L[0, 0]
+    x[0], x[1], x[2], x[3], x[4], x[5] = x0, x1, x2, x3, x4, x5
+    return y0 * y0 + y1 * y1 + y2 * y2 + y3 * y3 + y4 * y4 + y5 * y5
 
 
 @kernel
@@ -227,7 +274,7 @@ def refine(Y, n, R, t, work, ceiling):
         if step == 0 and cost - promised > ceiling:
             return cost, False
         retract(R, t, x, Rn, tn)
-        if promised < 1e-8 + 1e-13 * cost and damping < 1e-2:
+        if promised < 1e-6 + 1e-13 * cost and damping < 1e-2:
             copy_pose(R, t, Rn, tn)
             return max(cost - promised, 0.0), True
     return cost, False
@@ -325,13 +372,12 @@ def mean_ray(Y, n, V):
 
 
 @kernel
-def orthographic_starts(Y, n, E, values, V, Rs, ts):
+def orthographic_starts(Y, n, E, values, V, Rs, ts, b):
     """Both scaled-orthography poses of the re-centred bundle (plane solutions in the two widest axes); returns how many.
 
     Two updates of the depths (POSIT) take the perspective into account. E, values: principal axes of the ground points.
     """
     mean_ray(Y, n, V)
-    b = np.empty((2, 2))
     count = 0
     for sign in range(2):
         R, t = Rs[count], ts[count]
@@ -491,11 +537,10 @@ def polish(s1, s2, s3, a2, b2, c2, ca, cb, cg):
     return s1, s2, s3
 
 
-@entry
-def three_point(Y, i, j, k, Rs, ts):
+@python_kernel
+def three_point(Y, i, j, k, Rs, ts, f, World, Cam, roots):
     """All poses of three points (Grunert 1841; Haralick et al. 1994), distances polished by Newton; returns how many."""
     idx = (i, j, k)
-    f = np.empty((3, 3))
     for m in range(3):
         u, v = Y[3, idx[m]], Y[4, idx[m]]
         w = 1.0 / np.sqrt(1.0 + u * u + v * v)
@@ -518,9 +563,7 @@ def three_point(Y, i, j, k, Rs, ts):
     A0 = (1.0 + p) ** 2 - 4.0 * gg * cg * cg
     if not abs(A4) > 1e-12 * (abs(A3) + abs(A2) + abs(A1) + abs(A0)):
         return 0
-    roots = np.empty(4)
     found = quartic(A4, A3, A2, A1, A0, roots)
-    World, Cam = np.empty((3, 3)), np.empty((3, 3))
     triad(Y[0, j] - Y[0, i], Y[1, j] - Y[1, i], Y[2, j] - Y[2, i], Y[0, k] - Y[0, i], Y[1, k] - Y[1, i], Y[2, k] - Y[2, i], World)
     count = 0
     for m in range(found):
@@ -599,10 +642,9 @@ def widest_triple(Y, n, seed):
 
 
 @kernel
-def several(Y, n, trace):
+def several(Y, n, trace, seen):
     """True when the ground points lie at six places or more (5 % of the rms extent apart)."""
     near = 0.0025 * trace / n
-    seen = np.empty(6, np.int64)
     count = 0
     for i in range(n):
         new = True
@@ -631,8 +673,8 @@ def bad_fit(dof):
 @kernel
 def general_starts(Y, n, stage, ws):
     """Fills the starts: the likelier of both scaled orthographies (stage 1), or both and three-point poses (stage 2)."""
-    _, E, values, V, Rs, ts, _ = ws
-    starts = orthographic_starts(Y, n, E, values, V, Rs, ts)
+    _, E, values, V, Rs, ts, small, roots, _, _ = ws
+    starts = orthographic_starts(Y, n, E, values, V, Rs, ts, small[0])
     if stage == 1:
         if starts == 2 and cost_of(Y, n, Rs[1], ts[1]) < cost_of(Y, n, Rs[0], ts[0]):
             copy_pose(Rs[0], ts[0], Rs[1], ts[1])
@@ -640,18 +682,18 @@ def general_starts(Y, n, stage, ws):
     for corner in range(4 if n > 3 else 1):
         seed = corner * n // 4
         j, k = widest_triple(Y, n, seed)
-        starts += three_point(Y, seed, j, k, Rs[starts:], ts[starts:])
+        starts += three_point(Y, seed, j, k, Rs[starts:], ts[starts:], small[1], small[2], small[3], roots)
     return starts
 
 
-@entry
+@python_kernel
 def orient(Y, n, stage, ws):
     """Orients one image from any attitude; returns (status, number of minima), the minima in ws[-1] in order of cost.
 
     stage 0: vertical start, then 1: scaled orthography, then 2: all starts. A stage is believed when its best perspective
     residuals are at noise level; the reversal twin of the best is always tried.
     """
-    work, E, values, S, Rs, ts, minima = ws
+    work, E, values, S, Rs, ts, _, _, seen, minima = ws
     Rm, tm, cm = minima
     xx = xy = xz = yy = yz = zz = 0.0
     for i in range(n):
@@ -668,7 +710,7 @@ def orient(Y, n, stage, ws):
         return COLLINEAR, 0
     dof = 2 * n - 6
     limit = bad_fit(dof)
-    if stage < 2 and not several(Y, n, trace):
+    if stage < 2 and not several(Y, n, trace, seen):
         stage = 2
     if stage == 0 and not plan > 1e-3 * trace * trace:
         stage = 1
@@ -717,29 +759,29 @@ def covariance(Y, n, R, t, work, cov):
     A, J, L, g = work[0], work[1], work[2], work[3]
     if not normal(Y, n, R, t, A, g) < np.inf or not cholesky(A, 0.0, L):
         return False
-    # dX_C = -R' e - R' [t]x d ; photo frame: d -> S d.  J holds the rows, whitened by L: cov = W W'
+    # dX_C = -R' e - R' [t]x d ; photo frame: d -> S d.  J holds the columns, whitened by L: cov = J' J
     for i in range(3):
         for j in range(3):
-            J[i, j] = -R[j, i]
-            J[3 + i, j] = 0.0
-            J[3 + i, 3 + j] = 0.0
-        J[i, 3] = R[2, i] * t[1] - R[1, i] * t[2]
-        J[i, 4] = R[0, i] * t[2] - R[2, i] * t[0]
-        J[i, 5] = R[1, i] * t[0] - R[0, i] * t[1]
+            J[j, i] = -R[j, i]
+            J[j, 3 + i] = 0.0
+            J[3 + j, 3 + i] = 0.0
+        J[3, i] = R[2, i] * t[1] - R[1, i] * t[2]
+        J[4, i] = R[0, i] * t[2] - R[2, i] * t[0]
+        J[5, i] = R[1, i] * t[0] - R[0, i] * t[1]
     J[3, 3], J[4, 4], J[5, 5] = 1.0, -1.0, -1.0
+    for i in range(6):
+        for k in range(i):
+            for r in range(6):
+                J[i, r] -= L[i, k] * J[k, r]
+        for r in range(6):
+            J[i, r] *= L[i, i]
     for r in range(6):
-        for i in range(6):
-            s = J[r, i]
-            for k in range(i):
-                s -= L[i, k] * J[r, k]
-            J[r, i] = s * L[i, i]
-    for r in range(6):
-        for c in range(r + 1):
-            s = 0.0
-            for k in range(6):
-                s += J[r, k] * J[c, k]
-            cov[r, c] = s
-            cov[c, r] = s
+        for c in range(6):
+            cov[r, c] = 0.0
+    for k in range(6):
+        for r in range(6):
+            for c in range(6):
+                cov[r, c] += J[k, r] * J[k, c]
     return True
 
 
@@ -750,7 +792,9 @@ def workspace():
         np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6)), np.empty(6), np.empty(6), np.empty(6), np.empty((3, 3)), np.empty(3),
     )  # fmt: skip
     minima = (np.empty((MAX_MINIMA, 3, 3)), np.empty((MAX_MINIMA, 3)), np.empty(MAX_MINIMA))
-    return work, np.empty((3, 3)), np.empty(3), np.empty((3, 3)), np.empty((MAX_STARTS, 3, 3)), np.empty((MAX_STARTS, 3)), minima
+    starts = (np.empty((MAX_STARTS, 3, 3)), np.empty((MAX_STARTS, 3)))
+    small = (np.empty((4, 3, 3)), np.empty(4), np.empty(6, np.int64))
+    return work, np.empty((3, 3)), np.empty(3), np.empty((3, 3)), *starts, *small, minima
 
 
 @kernel
@@ -844,7 +888,7 @@ def invert(A, B):
 
 
 @kernel
-def orthogonal_normal(Y, n, R, t, V, N, S, g, G, P):
+def orthogonal_normal(Y, n, R, t, V, N, S, g):
     """N = Jg' T Jp, S = Jg' T Sigma T Jg, g = Jg' T r of the re-centred bundle (rotation V); False behind the camera."""
     for c in range(6):
         g[c] = 0.0
@@ -866,20 +910,18 @@ def orthogonal_normal(Y, n, R, t, V, N, S, g, G, P):
         gx, gy = (a0 + t[0]) * iz, (a1 + t[1]) * iz
         u, v = gx / T, gy / T
         # rows of the orthogonal (G) and the perspective model (P), without 1 / t_z and 1 / depth
-        G[0, 0], G[0, 1], G[0, 2], G[0, 3], G[0, 4], G[0, 5] = 1.0, 0.0, -gx, 0.0, a2, -a1
-        G[1, 0], G[1, 1], G[1, 2], G[1, 3], G[1, 4], G[1, 5] = 0.0, 1.0, -gy, -a2, 0.0, a0
-        P[0, 0], P[0, 1], P[0, 2], P[0, 3], P[0, 4], P[0, 5] = 1.0, 0.0, -u, -u * a1, a2 + u * a0, -a1
-        P[1, 0], P[1, 1], P[1, 2], P[1, 3], P[1, 4], P[1, 5] = 0.0, 1.0, -v, -a2 - v * a1, v * a0, a0
+        G0, G1 = (1.0, 0.0, -gx, 0.0, a2, -a1), (0.0, 1.0, -gy, -a2, 0.0, a0)
+        P0, P1 = (1.0, 0.0, -u, -u * a1, a2 + u * a0, -a1), (0.0, 1.0, -v, -a2 - v * a1, v * a0, a0)
         d00, d01 = (V[0, 0] - p * V[2, 0]) / w, (V[0, 1] - p * V[2, 1]) / w  # of the re-centring: noise of (p, q)
         d10, d11 = (V[1, 0] - q * V[2, 0]) / w, (V[1, 1] - q * V[2, 1]) / w
         k = Y[5, i] * Y[5, i] * T * iz
         for c in range(6):
-            g[c] += k * (G[0, c] * (p - u) + G[1, c] * (q - v))
-            h0 = k * T * iz * (G[0, c] * d00 + G[1, c] * d10)
-            h1 = k * T * iz * (G[0, c] * d01 + G[1, c] * d11)
+            g[c] += k * (G0[c] * (p - u) + G1[c] * (q - v))
+            h0 = k * T * iz * (G0[c] * d00 + G1[c] * d10)
+            h1 = k * T * iz * (G0[c] * d01 + G1[c] * d11)
             for e in range(6):
-                N[c, e] += k / depth * (G[0, c] * P[0, e] + G[1, c] * P[1, e])
-                S[c, e] += h0 * (G[0, e] * d00 + G[1, e] * d10) + h1 * (G[0, e] * d01 + G[1, e] * d11)
+                N[c, e] += k / depth * (G0[c] * P0[e] + G1[c] * P1[e])
+                S[c, e] += h0 * (G0[e] * d00 + G1[e] * d10) + h1 * (G0[e] * d01 + G1[e] * d11)
     return True
 
 
@@ -893,7 +935,6 @@ def orthogonal_fixed_point(Y, n, R, t, ws, cov):
     """
     N, S, B, g, x, _, Rn, tn = ws[0]
     V, Rv, tv = ws[3], ws[4][0], ws[5][0]
-    G, P = ws[4][1:3].reshape(18)[:12].reshape(2, 6), ws[4][3:5].reshape(18)[:12].reshape(2, 6)
     mean_ray(Y, n, V)
     for i in range(3):
         tv[i] = V[i, 0] * t[0] + V[i, 1] * t[1] + V[i, 2] * t[2]
@@ -901,7 +942,7 @@ def orthogonal_fixed_point(Y, n, R, t, ws, cov):
             Rv[i, j] = V[i, 0] * R[0, j] + V[i, 1] * R[1, j] + V[i, 2] * R[2, j]
     size = 1.0
     for _ in range(30):
-        if not (orthogonal_normal(Y, n, Rv, tv, V, N, S, g, G, P) and invert(N, B)):
+        if not (orthogonal_normal(Y, n, Rv, tv, V, N, S, g) and invert(N, B)):
             return False
         for c in range(6):
             x[c] = 0.0
@@ -952,15 +993,13 @@ def no_pose(M, C, cov):
             M[i % 3, j % 3] = np.nan
 
 
-@entry
-def resect_range(X, pixel, valid, sigma, camera, start, stop, M, C, cov, sigma0, chi, status, worst):
+@kernel
+def resect_images(ws, Y, index, mean, X, pixel, valid, sigma, camera, start, stop, M, C, cov, sigma0, chi, status, worst):
     """Orients images start .. stop - 1; pose and covariance are NaN where the status gives none.
 
     chi: square root of how much worse the runner-up fits; worst: the point with the largest residual where an outlier is likely.
     """
-    ws = workspace()
-    R, t, cost = ws[6][0][0], ws[6][1][0], ws[6][2]
-    Y, index, mean = np.empty((6, X.shape[1])), np.empty(X.shape[1], np.int64), np.empty(3)
+    R, t, cost = ws[9][0][0], ws[9][1][0], ws[9][2]
     for b in range(start, stop):
         n = gather(X[b], pixel[b], valid[b], sigma[b], camera, Y, index, mean)
         code, count = (NOT_FINITE if n < 0 else TOO_FEW), 0
@@ -983,11 +1022,17 @@ def resect_range(X, pixel, valid, sigma, camera, start, stop, M, C, cov, sigma0,
 
 
 @entry
-def orthogonal_range(X, pixel, valid, sigma, camera, start, stop, M, C, cov, sigma0, chi, status, worst):
+def resect_range(X, pixel, valid, sigma, camera, start, stop, M, C, cov, sigma0, chi, status, worst):
+    """resect_images with a workspace of its own; lets go of the interpreter's lock."""
+    n = X.shape[1]
+    Y, index, mean = np.empty((6, n)), np.empty(n, np.int64), np.empty(3)
+    resect_images(workspace(), Y, index, mean, X, pixel, valid, sigma, camera, start, stop, M, C, cov, sigma0, chi, status, worst)
+
+
+@kernel
+def orthogonal_images(ws, Y, index, mean, X, pixel, valid, sigma, camera, start, stop, M, C, cov, sigma0, chi, status, worst):
     """Turns the perspective poses of resect_range into orthogonal ones, in place."""
-    ws = workspace()
-    R, t = ws[6][0][0], ws[6][1][0]
-    Y, index, mean = np.empty((6, X.shape[1])), np.empty(X.shape[1], np.int64), np.empty(3)
+    R, t = ws[9][0][0], ws[9][1][0]
     for b in range(start, stop):
         if not np.isfinite(C[b, 0]):
             continue
@@ -1005,3 +1050,11 @@ def orthogonal_range(X, pixel, valid, sigma, camera, start, stop, M, C, cov, sig
             no_pose(M[b], C[b], cov[b])
             sigma0[b] = np.nan
             status[b] = DIVERGED
+
+
+@entry
+def orthogonal_range(X, pixel, valid, sigma, camera, start, stop, M, C, cov, sigma0, chi, status, worst):
+    """orthogonal_images with a workspace of its own; lets go of the interpreter's lock."""
+    n = X.shape[1]
+    Y, index, mean = np.empty((6, n)), np.empty(n, np.int64), np.empty(3)
+    orthogonal_images(workspace(), Y, index, mean, X, pixel, valid, sigma, camera, start, stop, M, C, cov, sigma0, chi, status, worst)
