@@ -70,12 +70,13 @@ def iterate(problem: Problem, x0: np.ndarray, options: Options | None = None) ->
     normal, damping, growth, penalty = problem.normal(x), options.damping, 2.0, 0.0
     yield Iteration(0, x, cost, _sigma0(cost, problem.dof), np.nan, _gradient(normal, cost), damping, 0)
     for index in range(1, options.max_iterations + 1):
-        stop, fall, used, trial, length = None, -np.inf, damping, 0, np.nan
+        stop, fall, used, trial, length, reach = None, -np.inf, damping, 0, np.nan, np.nan
         proposal, new_cost, new_misclosure = x, cost, misclosure
         for trial in range(1, options.max_trials + 1):  # noqa: B007  (trial is reported)
             used = damping
             dx, multipliers = normal.step(damping)
             length = float(np.linalg.norm(dx * normal.scale) / np.sqrt(len(dx)))
+            reach = length if trial == 1 else reach
             proposal = problem.retract(x, dx) if np.isfinite(length) else x
             new_cost = problem.cost(proposal) if np.isfinite(length) else np.inf
             new_misclosure = problem.constraints(proposal)
@@ -93,7 +94,7 @@ def iterate(problem: Problem, x0: np.ndarray, options: Options | None = None) ->
             damping, growth = max(damping, 1e-9) * growth, growth * 2
         if fall < 0 and not (options.accept_all and np.isfinite(fall)):
             # Nothing better was found: at the minimum to round-off, or truly stuck.
-            done = _gradient(normal, cost) < 1e-7 or length < 1e-6
+            done = not options.accept_all and (_gradient(normal, cost) < 1e-7 or reach < 1e-6)
             yield Iteration(index, x, cost, _sigma0(cost, problem.dof), 0.0, _gradient(normal, cost), used, trial,
                             "cost" if done else "diverged")
             return
@@ -126,5 +127,5 @@ def _sigma0(cost: float, dof: int) -> float:
 
 def _gradient(normal: Normal, cost: float) -> float:
     """Largest cosine between the residual vector and a column of the Jacobian: 0 at the minimum, whatever the units."""
-    size = float(np.sqrt(2 * cost))
+    size = float(np.sqrt(max(2 * cost, 0.0)))
     return float(np.abs(normal.gradient / normal.scale).max(initial=0.0)) / size if size > 0 else 0.0

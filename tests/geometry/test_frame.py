@@ -48,7 +48,7 @@ def test_a_cartesian_truth_written_as_utm_is_found_again(origin):
     bias = plain.centre[2] - frame.to_map(at.centre)[2]
     scale = 100 / np.linalg.norm(frame.to_local(origin + [100, 0, 0]))
     assert bias == pytest.approx(300 * (scale - 1), abs=0.01)
-    assert origin is EDGE or bias == pytest.approx(-0.12, abs=0.01)
+    assert origin is EDGE or bias == pytest.approx(-0.12, abs=0.02)  # and 0.014 for the terrain height
 
 
 def test_local_and_grid_only_subtract_the_origin():
