@@ -6,7 +6,7 @@ from pathlib import Path
 
 from solvers.workflows import simulate_project
 
-SEED = 0
+SEED = 22
 
 if __name__ == "__main__":
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "demo"
