@@ -1,0 +1,132 @@
+"""Least squares matching: conjugate points to a hundredth of a pixel, with their standard deviations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from . import batch
+from .ncc import match_ncc
+from .patches import SMOOTH, Photo, smoothing
+from .result import LsmResult, NccResult, Status
+
+_SCORE, _ITERATIONS, _KEPT, _STATUS = 8, 13, 14, 15  # columns of the compiled batch
+_PEAK_MOVE = 4.0  # px, a correlation's peak is never farther from the place
+
+
+@dataclass(frozen=True)
+class LsmOptions:
+    """When a least squares match is done, and when it is refused."""
+
+    max_iterations: int = 30
+    step: float = 0.01  # px, the last correction; what is left after it is about a tenth
+    max_sigma: float = 0.25  # px, largest standard deviation in any direction
+    min_score: float = 0.6  # least correlation after the adjustment
+    max_move: float = 10.0  # px from the start (of the adjustment, after a correlation)
+    smooth: float = SMOOTH  # px, presmoothing of raw images
+    min_gap: float = 1.35  # a rival place must leave this many times the residual variance
+
+
+def match_lsm(template_image: np.ndarray | Photo, target_image: np.ndarray | Photo, at: np.ndarray, start: np.ndarray,
+              window: int = 21, *, search: int = 0, threshold: float = 0.5, shape: np.ndarray | None = None,
+              options: LsmOptions | None = None, workers: int = 1) -> LsmResult:
+    """Least squares matches of N points: six affine and two radiometric parameters each, in one compiled batch.
+
+    at, start (N, 2) col, row (pixel centres are integers): window centres in the template image, approximate places in
+    the target, within 1 to 2 px; with search (px) > 0 a normalized cross-correlation above `threshold` finds them first
+    and places that another one rivals are refused. shape (2, 2) or (N, 2, 2): template -> target offsets where known.
+
+    f(x0, y0) = r0 + (1 + r1) g(a1 + a2 x0 + a3 y0, b1 + b2 x0 + b3 y0), solved by inverse composition (the design matrix
+    is the template's); shaping parameters that a window cannot determine are dropped. The covariance passes white pixel
+    noise, of both images, through smoothing and solution and removes what noise adds to the normal matrix.
+
+    Raises Unsupported for nonsense input. Reference: Gruen 1985; Baker & Matthews 2004 (inverse composition).
+    """
+    options = options or LsmOptions()
+    at, start = batch.points(at, "at"), batch.points(start, "start")
+    matrices, half = batch.shapes(shape, len(at)), batch.half_window(window)
+    margin = half + 2 + search + int(options.max_move)
+    reach = int(np.ceil(half * max(1.0, np.abs(np.linalg.inv(matrices)).sum(2).max(initial=1.0)))) + 3
+    wide = margin + int(np.ceil(half * np.abs(matrices).sum(2).max(initial=1.0)))
+    if batch.is_sparse(template_image, at, reach) or batch.is_sparse(target_image, start, wide):
+        parts = [match_lsm(template_image, target_image, at[i], start[i], window, search=search, threshold=threshold,
+                           shape=matrices[i], options=options) for i in range(len(at))]
+        return LsmResult(*(np.concatenate([getattr(part, name) for part in parts]) for name in LsmResult.__dataclass_fields__))
+    template, corner = batch.cut(template_image, at, reach, options.smooth)
+    target, origin = batch.cut(target_image, start, wide, options.smooth)
+    at, start = at - corner, start - origin
+    if search <= 0:
+        return _result(_adjust(template, target, at, start, matrices, half, options, workers), origin)
+    coarse = match_ncc(template, target, at, start, window, search, threshold, shape=matrices, uniqueness=2.0, workers=workers)
+    return _result(_from_peaks(template, target, at, coarse, matrices, half, options, workers), origin)
+
+
+def _from_peaks(template: Photo, target: Photo, at: np.ndarray, coarse: NccResult, matrices: np.ndarray, half: int,
+                options: LsmOptions, workers: int) -> np.ndarray:
+    """(N, 16) rows adjusted from the correlation's best peaks; where rivals come near, from them too, and compared."""
+    options = replace(options, max_move=min(options.max_move, _PEAK_MOVE))
+    best = np.full((len(at), 16), np.nan)
+    best[:, _SCORE], best[:, _STATUS] = coarse.score, coarse.status
+    best[:, _ITERATIONS] = best[:, _KEPT] = 0
+    found = np.flatnonzero(coarse.ok)
+    best[found] = _adjust(template, target, at[found], coarse.pixel[found], matrices[found], half, options, workers)
+    which, rank = np.nonzero(np.isfinite(coarse.rival_score) & coarse.ok[:, None])
+    rivals = np.full((*coarse.rival_score.shape, 16), np.nan)
+    rivals[which, rank] = _adjust(template, target, at[which], coarse.rival[which, rank], matrices[which], half, options, workers)
+    for k in range(rivals.shape[1]):
+        best[:] = _better(best, rivals[:, k], options.min_gap)
+    crowded = (coarse.count > rivals.shape[1]) & (best[:, _STATUS] == Status.OK)
+    best[crowded, _STATUS] = Status.NOT_UNIQUE
+    return best
+
+
+def _better(best: np.ndarray, rival: np.ndarray, gap: float) -> np.ndarray:
+    """(N, 16) the better of two rows; not unique where both fit about as well at different places."""
+    fits = np.isin(best[:, _STATUS], (Status.OK, Status.NOT_UNIQUE))
+    also = rival[:, _STATUS] == Status.OK
+    loss, other = 1 - best[:, _SCORE] ** 2, 1 - rival[:, _SCORE] ** 2
+    apart = np.linalg.norm(best[:, :2] - rival[:, :2], axis=1) > 1.0
+    low, high = np.minimum(loss, other), np.maximum(loss, other)
+    close = fits & also & apart & (high < gap * low)
+    swap = also & ~(fits & (loss <= other))
+    result = np.where(swap[:, None], rival, best)
+    result[close, _STATUS] = Status.NOT_UNIQUE
+    return result
+
+
+def _adjust(template: Photo, target: Photo, at: np.ndarray, start: np.ndarray, matrices: np.ndarray, half: int,
+            options: LsmOptions, workers: int) -> np.ndarray:
+    """(N, 16) rows of the compiled batch."""
+    from ._kernels import match_batch
+
+    gains = smoothing(template.smooth)
+    quantum = max(template.quantum, target.quantum)
+    noise = (gains.value, gains.slope, gains.laplacian, gains.extra_value, quantum**2 / 12)
+    limits = (options.max_iterations, options.step, options.max_sigma, options.min_score, options.max_move)
+    out = np.empty((len(at), 16))
+
+    def kernel(part: slice) -> None:
+        match_batch(template.coefficients, target.coefficients, at[part], start[part], matrices[part], half, gains.taps,
+                    gains.extra, noise, tuple(float(v) for v in limits), out[part])
+
+    batch.spread(kernel, len(at), workers)
+    return out
+
+
+def _result(rows: np.ndarray, origin: np.ndarray) -> LsmResult:
+    status = rows[:, _STATUS].astype(int)
+    known = np.where((status == Status.OK)[:, None], rows[:, :13], np.nan)
+    covariance = known[:, [9, 10, 10, 11]].reshape(-1, 2, 2)
+    return LsmResult(
+        pixel=known[:, :2] + origin,
+        sigma=np.sqrt(np.einsum("naa->na", covariance)),
+        covariance=covariance,
+        score=rows[:, _SCORE],
+        status=status,
+        shape=known[:, 2:6].reshape(-1, 2, 2),
+        radiometric=known[:, 6:8] - [0, 1],
+        noise=known[:, 12],
+        iterations=rows[:, _ITERATIONS].astype(int),
+        kept=rows[:, _KEPT].astype(int),
+    )

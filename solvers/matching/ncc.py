@@ -1,0 +1,56 @@
+"""Normalized cross-correlation: where, to about a tenth of a pixel, a template lies in a search window."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from . import batch
+from .patches import SMOOTH, Photo, smoothing
+from .result import NccResult, Status
+
+RIVAL = 0.75
+"""Peaks above this part of the best score are rivals."""
+
+
+def match_ncc(template_image: np.ndarray | Photo, target_image: np.ndarray | Photo, at: np.ndarray, start: np.ndarray,
+              window: int = 21, search: int = 12, threshold: float = 0.5, *, shape: np.ndarray | None = None,
+              uniqueness: float = 0.95, smooth: float = SMOOTH, workers: int = 1) -> NccResult:
+    """Best places of N template windows in the target image.
+
+    at, start (N, 2) col, row (pixel centres are integers): window centres in the template image, predicted places in the
+    target. window, search: px, side of the template and reach of the search around the start. threshold: least
+    correlation (0.5 to 0.7 is usual). shape (2, 2) or (N, 2, 2): template -> target offsets (col, row), from an
+    orientation, a homography or earlier ties; the template is warped by it first. uniqueness: largest score of the
+    second peak over that of the best; the two must also differ by two standard deviations (Fisher); above 1 no test.
+    smooth: px, presmoothing of raw images.
+
+    Raises Unsupported for nonsense input. Reference: Lewis 1995, Fast normalized cross-correlation.
+    """
+    at, start = batch.points(at, "at"), batch.points(start, "start")
+    matrices, half = batch.shapes(shape, len(at)), batch.half_window(window)
+    margin = half + search + 2
+    if batch.is_sparse(template_image, at, margin) or batch.is_sparse(target_image, start, margin):
+        parts = [match_ncc(template_image, target_image, at[i], start[i], window, search, threshold, shape=matrices[i],
+                           uniqueness=uniqueness, smooth=smooth) for i in range(len(at))]
+        return NccResult(*(np.concatenate([getattr(part, name) for part in parts]) for name in NccResult.__dataclass_fields__))
+    reach = int(np.ceil(half * np.abs(np.linalg.inv(matrices)).sum(2).max(initial=1.0))) + 2
+    template, corner = batch.cut(template_image, at, reach, smooth)
+    target, origin = batch.cut(target_image, start, margin, smooth)
+    from ._kernels import RIVALS, correlate_batch
+
+    gap = 2 * np.sqrt(2 / (window**2 * smoothing(target.smooth).value))  # two sigmas of Fisher's z, independent values only
+    out = np.full((len(at), 5 + 3 * RIVALS), np.nan)
+
+    def kernel(part: slice) -> None:
+        correlate_batch(template.coefficients, target.coefficients, at[part] - corner, start[part] - origin, matrices[part],
+                        half, search, threshold, RIVAL, gap, out[part])
+
+    batch.spread(kernel, len(at), workers)
+    status, score = out[:, 3].astype(int), out[:, 2]
+    rivals = out[:, 5:].reshape(-1, RIVALS, 3)
+    second = np.where(np.isfinite(rivals[:, 0, 2]), rivals[:, 0, 2], -1.0)
+    apart = np.arctanh(np.clip(score, -1, 1 - 1e-9)) - np.arctanh(np.clip(second, -1 + 1e-9, 1 - 1e-9))
+    same = (second > uniqueness * score) | (apart < gap)
+    status[(status == Status.OK) & same & (uniqueness <= 1)] = Status.NOT_UNIQUE
+    pixel = np.where((status == Status.OK)[:, None], out[:, :2] + origin, np.nan)
+    return NccResult(pixel, score, out[:, 4].astype(int), rivals[:, :, :2] + origin, rivals[:, :, 2], status)

@@ -1,0 +1,172 @@
+"""Least squares matching: exact on exact data, honest about its precision, and a refusal where nothing can be found."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from solvers.errors import Unsupported
+from solvers.matching import LsmOptions, Status, match_lsm, match_ncc, prepare
+
+SHAPE = np.array([[1.03, 0.05], [-0.04, 0.98]])
+
+
+def waves(seed: int, count: int = 60, sigma: float = 1.6) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A band-limited texture that can be sampled exactly anywhere: wave vectors, amplitudes, phases."""
+    rng = np.random.default_rng(seed)
+    k = rng.normal(0, 1 / (sigma * np.sqrt(2)), (count, 2))
+    return k, rng.normal(0, 20 / np.sqrt(count / 2), count), rng.uniform(0, 7, count)
+
+
+def render(texture: tuple, shape: np.ndarray, shift: np.ndarray, size: int = 260) -> np.ndarray:
+    """Image whose pixel q shows the texture at inv(shape) (q - shift): the conjugate of p is shape p + shift."""
+    k, a, phase = texture
+    row, col = np.mgrid[0:size, 0:size]
+    q = np.stack([col.ravel(), row.ravel()], 1) - shift
+    p = q @ np.linalg.inv(shape).T
+    return (120 + np.cos(p @ k.T + phase) @ a).reshape(size, size)
+
+
+def pair(seed: int, noise: float = 0.0, shape: np.ndarray = SHAPE, shift: tuple[float, float] = (-3.3, 7.7)):
+    texture, move = waves(seed), np.array(shift)
+    rng = np.random.default_rng(seed + 1)
+    left = render(texture, np.eye(2), np.zeros(2)) + rng.normal(0, noise, (260, 260))
+    right = 0.8 * render(texture, shape, move) + 15 + rng.normal(0, noise * 0.8, (260, 260))
+    g = np.arange(45.0, 215, 12)
+    at = np.stack(np.meshgrid(g, g), -1).reshape(-1, 2)
+    return left.astype(np.float32), right.astype(np.float32), at, at @ shape.T + move
+
+
+def test_exact_data_is_matched_to_a_thousandth_of_a_pixel_with_its_affine_and_gain():
+    left, right, at, truth = pair(1)
+    r = match_lsm(left, right, at, truth + np.array([0.4, -0.3]), options=LsmOptions(step=1e-4))
+    assert r.ok.all()
+    assert np.sqrt(np.mean((r.pixel - truth) ** 2)) < 1e-3
+    assert np.abs(r.shape - SHAPE).max() < 2e-3
+    assert np.abs(r.radiometric[:, 1] + 1 - 1 / 0.8).max() < 5e-3
+    assert r.score.min() > 0.9999
+
+
+def test_noise_stays_near_the_cramer_rao_bound_and_the_reported_sigmas_tell_it():
+    left, right, at, truth = pair(2, noise=3.0)
+    r = match_lsm(left, right, at, truth + 0.3, shape=SHAPE)
+    assert r.ok.all()
+    error = r.pixel - truth
+    bound = np.array([bound_of(left_exact, 3.0) for left_exact in windows(2, at)])
+    ratio = np.sqrt((error**2).mean() / bound.mean())
+    assert 0.85 < ratio < 1.2
+    assert 0.85 < np.sqrt((r.sigma**2).mean() / (error**2).mean()) < 1.15
+    normal = np.linalg.solve(r.covariance, error[..., None])[..., 0]
+    chi = (error * normal).sum(1)
+    assert abs(chi.mean() - 2) < 0.5
+
+
+def windows(seed: int, at: np.ndarray):
+    exact = render(waves(seed), np.eye(2), np.zeros(2))
+    return [exact[int(r) - 11 : int(r) + 12, int(c) - 11 : int(c) + 12] for c, r in at]
+
+
+def bound_of(window: np.ndarray, noise: float) -> float:
+    """Cramer-Rao bound of the shift, mean variance of both coordinates, all eight parameters free, both images noisy."""
+    gy, gx = np.gradient(window)
+    gx, gy, g = gx[1:-1, 1:-1].ravel(), gy[1:-1, 1:-1].ravel(), window[1:-1, 1:-1].ravel()
+    v, u = (a.ravel() for a in np.mgrid[-10:11, -10:11])
+    j = np.stack([gx, gx * u, gx * v, gy, gy * u, gy * v, np.ones_like(g), g], 1)
+    q = np.linalg.inv(j.T @ j)
+    moved = SHAPE @ q[np.ix_([0, 3], [0, 3])] @ SHAPE.T
+    return 2 * noise**2 * np.trace(moved) / 2
+
+
+def test_correlation_first_pulls_in_from_ten_pixels():
+    left, right, at, truth = pair(3, noise=1.0)
+    turn = np.linspace(0, 2 * np.pi, len(at))
+    start = truth + 10 * np.stack([np.cos(turn), np.sin(turn)], 1)
+    r = match_lsm(left, right, at, start, search=12)
+    assert r.ok.mean() > 0.98
+    assert np.linalg.norm(r.pixel - truth, axis=1)[r.ok].max() < 0.3
+
+
+@pytest.mark.parametrize(("turn", "scale"), [(90, 1.0), (180, 0.7), (-45, 1.4), (137, 0.9)])
+def test_a_known_affine_makes_any_rotation_and_scale_matchable(turn: float, scale: float):
+    a = np.radians(turn)
+    shape = scale * np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]])
+    centre = np.array([130.0, 130.0])
+    left, right, at, truth = pair(4, 1.0, shape, tuple(centre - shape @ centre))
+    inside = ((truth > 60) & (truth < 200)).all(1) & ((at > 60) & (at < 200)).all(1)
+    r = match_lsm(left, right, at[inside], truth[inside] + [4, -5], search=10, shape=shape @ [[1.02, 0.02], [-0.02, 0.99]])
+    assert r.ok.mean() > 0.97
+    assert np.sqrt(np.nanmean((r.pixel - truth[inside]) ** 2)) < 0.05
+
+
+def test_windows_without_texture_or_with_an_edge_only_are_refused_with_the_reason():
+    rng = np.random.default_rng(5)
+    row, col = np.mgrid[0:120, 0:120].astype(float)
+    at = np.array([[60.0, 60.0]])
+    edge = 90 + 40 * np.tanh((0.8 * (col - 60) + 0.6 * (row - 60)) / 2)
+    scenes = {Status.NO_TEXTURE: np.full((120, 120), 90.0), Status.EDGE_ONLY: edge}
+    for status, scene in scenes.items():
+        for noise in (0.0, 2.0):
+            a, b = (np.round(scene + rng.normal(0, noise, scene.shape)).astype(np.uint8) for _ in range(2))
+            r = match_lsm(a, b, at, at + 0.25)
+            assert r.status[0] == status
+            assert np.isnan(r.pixel).all() and np.isnan(r.sigma).all()
+            assert Status(r.status[0]).reason
+
+
+def test_repetitive_texture_is_refused_or_right():
+    rng = np.random.default_rng(6)
+    row, col = np.mgrid[0:300, 0:300].astype(float)
+    scene = 120 + 40 * np.cos(2 * np.pi * col / 8) * np.cos(2 * np.pi * row / 8)
+    left, right = (scene + rng.normal(0, 2, scene.shape) for _ in range(2))
+    at = rng.integers(60, 240, (200, 2)).astype(float)
+    start = at + rng.uniform(-8, 8, at.shape)
+    for r in (match_lsm(left, right, at, start, search=12), match_ncc(left, right, at, start)):
+        wrong = r.ok & ~(np.linalg.norm(r.pixel - at, axis=1) < 1)
+        assert wrong.sum() == 0
+        assert (r.status == Status.NOT_UNIQUE).mean() > 0.7
+        assert np.isin(r.status, (Status.NOT_UNIQUE, Status.AT_BORDER)).mean() > 0.95
+
+
+def test_shaping_parameters_that_cannot_be_determined_are_dropped():
+    rng = np.random.default_rng(7)
+    row, col = np.mgrid[0:100, 0:100].astype(float)
+    places = ((50, 50), (52.3, 48.6))
+    left, right = (60 + 100 * np.exp(-((col - c) ** 2 + (row - r) ** 2) / 18) + rng.normal(0, 2, col.shape) for c, r in places)
+    r = match_lsm(left, right, np.array([50.0, 50.0]), np.array([52.0, 49.0]))
+    assert r.ok[0] and 2 <= r.kept[0] < 6  # a round dot does not tell its rotation
+    assert np.abs(r.pixel[0] - [52.3, 48.6]).max() < 4 * r.sigma.max() < 0.2
+
+
+def test_leaving_the_image_missing_data_and_nonsense_have_their_own_answers():
+    left, right, at, truth = pair(8)
+    assert match_lsm(left, right, np.array([5.0, 5.0]), truth[:1]).status[0] == Status.OUTSIDE
+    assert match_lsm(left, right, at[:1], np.array([3.0, 100.0])).status[0] == Status.LEFT
+    hole = right.copy()
+    hole[100:110, 100:110] = np.nan
+    assert match_lsm(left, hole, at[:1], np.array([105.0, 105.0])).status[0] == Status.LEFT
+    assert match_lsm(hole, right, np.array([105.0, 105.0]), at[:1]).status[0] == Status.OUTSIDE
+    with pytest.raises(Unsupported, match="odd"):
+        match_lsm(left, right, at, truth, window=20)
+    for bad in (np.zeros((2, 2)), np.eye(3)):
+        with pytest.raises(Unsupported):
+            match_lsm(left, right, at, truth, shape=bad)
+    with pytest.raises(Unsupported, match="not finite"):
+        match_lsm(left, right, at, np.full_like(at, np.nan))
+
+
+def test_photos_prepared_once_threads_and_single_points_give_the_same():
+    left, right, at, truth = pair(9, noise=1.0)
+    whole = match_lsm(left, right, at, truth + 0.3)
+    ready = match_lsm(prepare(left), prepare(right), at, truth + 0.3, workers=2)
+    assert np.allclose(whole.pixel, ready.pixel, atol=1e-4)
+    assert np.array_equal(whole.status, ready.status)
+    one = match_lsm(left, right, at[7], truth[7] + 0.3)
+    assert np.allclose(one.pixel[0], whole.pixel[7], atol=2e-3)
+    far = match_lsm(np.pad(left, 1500), np.pad(right, 1500), at[[0, 190]] + 1500, truth[[0, 190]] + 1500.3)
+    assert np.allclose(far.pixel - 1500, whole.pixel[[0, 190]], atol=2e-3)
+
+
+def test_import_leaves_the_compiler_alone():
+    code = "import sys, solvers.matching; print(sorted(set(sys.modules) & {'numba', 'cv2', 'scipy'}))"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
