@@ -72,7 +72,7 @@ def iterate(problem: Problem, x0: np.ndarray, options: Options | None = None) ->
     for index in range(1, options.max_iterations + 1):
         stop, fall, used, trial, length, reach = None, -np.inf, damping, 0, np.nan, np.nan
         proposal, new_cost, new_misclosure = x, cost, misclosure
-        for trial in range(1, options.max_trials + 1):  # noqa: B007  (trial is reported)
+        for trial in range(1, options.max_trials + 1):
             used = damping
             dx, multipliers = normal.step(damping)
             length = float(np.linalg.norm(dx * normal.scale) / np.sqrt(len(dx)))

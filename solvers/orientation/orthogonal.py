@@ -28,8 +28,9 @@ class Orthogonal:
     adjustment weighs orthogonal coordinates alike but for each point's mean variance, as the papers do.
     form: "depth" holds for every attitude, "printed" is the papers' own (12) and (19) with the mean height.
     recentre: turn the bundle to its mean ray first. frozen: the approximate orientation whose transformation is kept
-    (one pass); None transforms again at every iteration, from parallel rays in the first (row 0), until nothing changes. accelerated: aim each step at the fixed point with the
-    known contraction (Newton), for geometries in which plain repetition runs away from it; the fixed point is the same.
+    (one pass); None transforms again at every iteration, from parallel rays in the first (row 0), until nothing
+    changes. accelerated: aim each step at the fixed point with the known contraction (Newton), for geometries in which
+    plain repetition runs away from it; the fixed point is the same.
     """
 
     interior: Interior
@@ -176,7 +177,7 @@ class Orthogonal:
         if not self.accelerated:
             return plain
         exterior = Exterior.from_vector(x)
-        jg, jp, p = self._models(exterior)
+        jg, jp, p = self.models(exterior)
         v = self.pixels - project(self.interior, exterior, self.points)
         pull = np.einsum("nai,nab,nb->i", jg, p, v)  # zero at the fixed point
         step = np.linalg.solve(np.einsum("nai,nab,nbj->ij", jg, p, jp), pull)
@@ -195,7 +196,7 @@ class Orthogonal:
 
     def statistics(self, exterior: Exterior) -> Leak:
         """Noise, prior leak and fixed-point covariance of the model at an orientation, all in (centre, rotation)."""
-        jg, jp, p = self._models(exterior)
+        jg, jp, p = self.models(exterior)
         jp, pj = jp.reshape(-1, 6), p @ jg
         scale = np.sqrt(np.einsum("nai,nai->i", jg, pj))
         flat, weighted = (jg / scale).reshape(-1, 6), (pj / scale).reshape(-1, 6)
@@ -206,7 +207,7 @@ class Orthogonal:
         back = np.linalg.pinv(gain)
         return Leak(noise, leak, float(np.abs(np.linalg.eigvals(leak)).max()), back @ noise @ back.T)
 
-    def _models(self, exterior: Exterior) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def models(self, exterior: Exterior) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Derivatives (n, 2, 6) px of the orthogonal and of the perspective model by (centre, left rotation vector), and
         the weights (n, 2, 2)."""
         m, s = self.r_v @ exterior.m, self.scale_of(exterior)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from ..adjustment import Trace
+from ..adjustment.reliability import ChiSquare, correlation
 from ..cameras import PARAMETERS, Interior
 from ..geometry import Exterior
 
@@ -21,6 +22,8 @@ class Orientation:
     exterior: in project coordinates (m). local: the same in the block's local frame, where the trace lives.
     covariance (6, 6): X, Y, Z, omega, phi, kappa (m, rad), a priori. sigma0: None without redundancy.
     points: names; residuals (n, 2) px observed minus projected; redundancy, w (n, 2); used (n,) takes part in the solution.
+    detectable (n, 2): minimal detectable blunder [px]; effect (n, 2): largest change of an adjusted parameter, in its
+    standard error, that such a blunder would cause unseen (external reliability). condition: of the scaled normal matrix.
     initial: approximate value in the local frame. discrimination: D of a reversal ambiguity, None where there is none.
     """
 
@@ -36,6 +39,10 @@ class Orientation:
     residuals: np.ndarray
     redundancy: np.ndarray
     w: np.ndarray
+    detectable: np.ndarray
+    effect: np.ndarray
+    condition: float
+    chi_square: ChiSquare | None
     used: np.ndarray
     trace: Trace
     warnings: tuple[str, ...] = ()
@@ -74,15 +81,20 @@ class Orientation:
             "sigma0": self.sigma0, "dof": self.dof, "rms_px": self.rms_px, "rms_px_coordinate": self.rms_px / np.sqrt(2),
             "iterations": self.trace.iterations, "converged": self.trace.converged, "stop": self.trace.last.stop,
             "residuals": [self._residual(i) for i in range(len(self.points))],
+            "chi_square": None if self.chi_square is None else asdict(self.chi_square), "condition": self.condition,
+            "correlation": correlation(self.covariance).tolist(),
             "rejected": list(self.rejected), **({"interior": interior} if interior else {}),
             "warnings": list(self.warnings), "alternatives": [a.to_json() for a in self.alternatives],
             "discrimination": self.discrimination,
         }
 
     def _residual(self, i: int) -> dict[str, Any]:
-        w = [float(x) if np.isfinite(x) else None for x in self.w[i]]
+        def finite(pair: np.ndarray) -> list[float | None]:
+            return [float(x) if np.isfinite(x) else None for x in pair]
+
         return {"point": self.points[i], "col": float(self.residuals[i, 0]), "row": float(self.residuals[i, 1]),
-                "redundancy": [float(x) for x in self.redundancy[i]], "w": w, "used": bool(self.used[i])}
+                "redundancy": [float(x) for x in self.redundancy[i]], "w": finite(self.w[i]), "used": bool(self.used[i]),
+                "detectable_px": finite(self.detectable[i]), "effect_sigma": finite(self.effect[i])}
 
 
 def _key(name: str) -> str:

@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ..adjustment import Options, Trace, iterate, precision, solve
+from ..adjustment.reliability import chi_square, external
 from ..block import Block, Prior
 from ..cameras import Interior, project
 from ..errors import BadProject, DegenerateGeometry
@@ -15,6 +16,7 @@ from ..geometry import Exterior, LocalFrame, angle_derivatives
 from .control import Control, control_of, geometry_warnings, require
 from .initial import Candidate, apart, candidates
 from .orthogonal import Form, Orthogonal
+from .orthogonal_c import OrthogonalFreeC
 from .resection import COLUMNS, UNITS, PriorOrientation, Resection
 from .result import Orientation
 from .robust import inliers
@@ -50,7 +52,7 @@ class Request:
 class Start:
     """A problem ready to iterate, and what is needed to conclude from its trace."""
 
-    problem: Resection | Orthogonal
+    problem: Resection | Orthogonal | OrthogonalFreeC
     x0: np.ndarray
     options: Options
     manifest: dict[str, Any]
@@ -137,7 +139,8 @@ def _perspective(request: Request, control: Control, found: list[Candidate], pri
     problem = Resection(control.interior, control.points, control.pixels, control.weights(at), request.free, weighted)
     if request.prior == "initial" and prior is not None:
         if not np.isfinite(problem.cost(problem.start(prior.exterior))):
-            raise DegenerateGeometry(f"image '{request.image}': control points lie behind the camera of the prior; check its angles")
+            raise DegenerateGeometry(f"image '{request.image}': control points lie behind the camera of the prior; "
+                                     "check its angles")
         return problem, problem.start(prior.exterior), found
     if weighted is not None and prior is not None:
         beginnings = [*found, Candidate(prior.exterior, prior.exterior, "prior", 0.0)]
@@ -161,17 +164,25 @@ def _perspective(request: Request, control: Control, found: list[Candidate], pri
 
 
 def _orthogonal(request: Request, control: Control, found: list[Candidate],
-                prior: PriorOrientation | None) -> tuple[Orthogonal, np.ndarray, list[Candidate]]:
+                prior: PriorOrientation | None) -> tuple[Orthogonal | OrthogonalFreeC, np.ndarray, list[Candidate]]:
     if request.one_pass and prior is None:
         raise BadProject(f"image '{request.image}': one pass needs an approximate orientation; give "
                          f"[images.{request.image}.prior] with X, Y, Z, omega_deg, phi_deg, kappa_deg "
                          "in project.toml, or iterate")
-    if request.free:
-        raise BadProject("the orthogonal model keeps the interior orientation fixed; use --model perspective with --free")
+    if request.free and (request.free != ("c",) or request.one_pass):
+        raise BadProject("the orthogonal model can free only the principal distance, and only when iterated; "
+                         "use --model perspective to free more")
     near = found[0].exterior if found else prior.exterior if prior else None
     sigma = np.linalg.inv(control.weights(near))
     frozen = prior.exterior if request.one_pass and prior else None
     problem = Orthogonal(control.interior, control.points, control.pixels, sigma, request.form, request.recentre, frozen)
+    if request.free:
+        unknown = OrthogonalFreeC(replace(problem, recentre=False))
+        if unknown.dof < 0:
+            raise DegenerateGeometry(f"image '{request.image}': {len(control)} control points cannot determine 7 unknowns; "
+                                     "measure more control or keep the principal distance fixed")
+        beginnings = [np.append(unknown.model.start(unknown.model.affine_of(k.exterior)), control.interior.c) for k in found]
+        return unknown, _best_run(unknown, beginnings, control)[0], found
     if request.one_pass or not found:
         return problem, _best_run(problem, problem.starts(), control)[0], found
     best = found[0].exterior
@@ -189,7 +200,7 @@ def _orthogonal(request: Request, control: Control, found: list[Candidate],
     return problem, _best_run(problem, plain[1], control)[0], found
 
 
-def _best_run(problem: Orthogonal, beginnings: list[np.ndarray], control: Control) -> tuple[np.ndarray, Trace]:
+def _best_run(problem: Orthogonal | OrthogonalFreeC, beginnings: list[np.ndarray], control: Control) -> tuple[np.ndarray, Trace]:
     """Of all runs the converged one with the smallest perspective residual."""
     def rank(run: tuple[np.ndarray, Trace]) -> tuple[bool, float]:
         rms = _rms(control, Exterior.from_vector(run[1].last.x))
@@ -221,15 +232,19 @@ def _describe(start: Start, trace: Trace) -> Orientation:
     x, problem, control = trace.last.x, start.problem, start.control
     local = Exterior.from_vector(x)
     used = control.take(start.used)
-    interior = problem.interior_at(x) if isinstance(problem, Resection) else control.interior
+    interior = control.interior if isinstance(problem, Orthogonal) else problem.interior_at(x)
     who = f"image '{control.image}'"
     linear = problem.linear(x)
     stats = precision(linear, f"{who}: the {start.request.model} orientation")
+    effect = np.abs(external(linear, stats) / np.sqrt(np.diag(stats.covariance))).max(axis=2)
     warnings = geometry_warnings(used)
     interior_sigma: tuple[tuple[str, float], ...] = ()
     if isinstance(problem, Resection):
         covariance = stats.covariance[:6, :6]
         interior_sigma = tuple(zip(problem.free, map(float, np.sqrt(np.diag(stats.covariance)[6:])), strict=True))
+    elif isinstance(problem, OrthogonalFreeC):
+        whole = problem.covariance(x)
+        covariance, interior_sigma = whole[:6, :6], (("c", float(np.sqrt(whole[6, 6]))),)
     else:
         covariance, said = _orthogonal_covariance(start, problem, trace, local)
         warnings += said
@@ -251,6 +266,8 @@ def _describe(start: Start, trace: Trace) -> Orientation:
         initial=Exterior.from_vector(trace.rows[0].x), covariance=covariance, sigma0=sigma0, dof=problem.dof,
         points=control.names, residuals=residuals,
         redundancy=_spread(stats.redundancy[:n], start.used, 0.0), w=_spread(stats.w[:n], start.used, np.nan),
+        detectable=_spread(stats.detectable[:n], start.used, np.inf), effect=_spread(effect[:n], start.used, np.inf),
+        condition=stats.condition, chi_square=chi_square(linear.cost, problem.dof),
         used=start.used, trace=trace, warnings=tuple(warnings), rejected=rejected,
         interior=interior if interior_sigma else None, interior_sigma=interior_sigma,
     )
@@ -282,6 +299,8 @@ def _alternative(start: Start, candidate: Candidate, control: Control) -> Orient
     problem, options = start.problem, start.options
     if isinstance(problem, Resection):
         x0 = problem.start(candidate.exterior)
+    elif isinstance(problem, OrthogonalFreeC):
+        x0 = np.append(problem.model.start(problem.model.affine_of(candidate.exterior)), control.interior.c)
     else:
         x0 = problem.start(problem.affine_of(candidate.exterior))
     trace = solve(problem, x0, options, start.manifest)
@@ -374,8 +393,9 @@ def _manifest(block: Block, request: Request, frame: LocalFrame, control: Contro
         "crs": block.crs, "frame": block.frame, "origin": [float(v) for v in frame.origin], "points": list(control.names),
         "xyz": control.points.tolist(), "pixels": control.pixels.tolist(), "sigma": control.sigma_px.tolist(),
         "sigma_m": control.sigma_m.tolist(),
-        "columns": [*COLUMNS, *(request.free if request.model == "perspective" else tuple(f"A{i}" for i in range(1, 9)))],
-        "units": [*UNITS, *(("",) * len(request.free) if request.model == "perspective" else ("mm/m", "mm/m", "mm/m", "mm") * 2)],
+        "columns": [*COLUMNS, *(tuple(f"A{i}" for i in range(1, 9)) if request.model == "orthogonal" else ()), *request.free],
+        "units": [*UNITS, *(("mm/m", "mm/m", "mm/m", "mm") * 2 if request.model == "orthogonal" else ()),
+                  *("mm" for _ in request.free)],
         "options": {k: v for k, v in asdict(request).items() if k not in ("image", "model")},
     }
 
