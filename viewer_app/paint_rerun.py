@@ -126,12 +126,14 @@ class _Painter:
             self._static(f"/images/{part(name)}/photo/picture", picture, enlarge)
         for model in models:
             path = f"/images/{part(name)}/{model}/camera"
-            self._static(path, pinhole(camera, theme.MODELS[model], self.depth, photo))
-            if picture is not None and model == models[0]:
-                self._static(f"{path}/picture", picture)
+            shown = [picture] if picture is not None and model == models[0] else []
+            self._static(path, pinhole(camera, theme.MODELS[model], self.depth, photo), rr.TransformAxes3D(0.0), *shown)
 
     def _camera(self, path: str, name: str, exterior: Exterior, colour: theme.Colour, size: float) -> None:
-        self._static(path, pinhole(self.block.camera_of(name), colour, size * self.depth), pose(exterior))
+        import rerun as rr
+
+        lens = pinhole(self.block.camera_of(name), colour, size * self.depth)
+        self._static(path, lens, pose(exterior), rr.TransformAxes3D(0.0))  # without axes: the frustum says it all
 
     # -- what the rows change
 
@@ -147,7 +149,7 @@ class _Painter:
         for row in replay.rows:
             self._at(row.index)
             projected = rr.Points2D(drawn(replay.projected(row)), colors=colour, radii=dot)
-            normal = rr.Tensor(replay.normal(row), dim_names=[" ".join(ELEMENTS)] * 2, value_range=[-1, 1])
+            normal = rr.Tensor(replay.normal(row), dim_names=["row", "column"], value_range=[-1, 1])
             self.stream.log(f"{image}/{replay.model}/camera", pose(replay.exterior(row)))
             self.stream.log(f"{image}/{replay.model}/rays", rr.LineStrips3D(replay.rays(row), colors=(*colour, 130), radii=thin))
             self.stream.log(f"{image}/photo/{replay.model}/projected", projected)

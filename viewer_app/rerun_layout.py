@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from . import theme
-from .replay import Replay
+from .replay import ELEMENTS, Replay
 
 if TYPE_CHECKING:
     import rerun.blueprint as rrb
@@ -33,7 +33,7 @@ def blueprint(replays: Sequence[Replay], site: np.ndarray) -> rrb.Blueprint:
             rrb.Tabs(*tabs, rrb.TextDocumentView(origin="/about", name="About"), active_tab=0),
             column_shares=[1, 1],
         ),
-        rrb.TimePanel(state="collapsed", timeline="iteration", fps=2.0),
+        rrb.TimePanel(state="collapsed", timeline="iteration", fps=2.0, play_state="paused"),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         auto_views=False,
@@ -61,7 +61,7 @@ def _image(name: str, replays: Sequence[Replay]) -> rrb.Vertical:
     photo = rrb.Spatial2DView(origin=f"/images/{part(name)}/photo", name=f"{name}: observed, projected", visual_bounds=bounds,
                               background=theme.BACKGROUND_LIGHT)
     mapping = rrb.TensorScalarMapping(colormap="CyanToYellow", mag_filter="Nearest")
-    matrices = [rrb.TensorView(origin=f"/normal/{part(name)}/{r.model}", name=f"{r.model}, scaled to unit diagonal",
+    matrices = [rrb.TensorView(origin=f"/normal/{part(name)}/{r.model}", name=f"{r.model}: {' '.join(ELEMENTS)}",
                                scalar_mapping=mapping) for r in replays]
     position, attitude = (_curves(replays, k, t) for k, t in (("position", "X Y Z minus final [m]"),
                                                               ("attitude", "omega phi kappa minus final [deg]")))

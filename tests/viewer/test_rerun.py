@@ -316,7 +316,7 @@ def test_errors_are_one_sentence(path: Path, tmp_path: Path, monkeypatch: pytest
 @pytest.mark.browser
 def test_it_opens_in_a_browser_and_speaks_to_nobody_else(path: Path) -> None:
     require_chromium()
-    with serve(path) as served, chromium_page(served.url, size=(1000, 640)) as (page, log):
+    with serve(path) as served, chromium_page(served.url, size=(800, 560)) as (page, log):
         def drawn() -> bool:
             picture = np.asarray(Image.open(BytesIO(page.screenshot(timeout=120_000))).convert("RGB"), int)
             near = [np.abs(picture - colour).sum(axis=2) < 30 for colour in (theme.PERSPECTIVE, theme.ORTHOGONAL)]
