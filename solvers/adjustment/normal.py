@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -48,12 +49,12 @@ class Dense:
         floor = max(float(diagonal.max(initial=0.0)) * 1e-24, np.finfo(float).tiny)
         object.__setattr__(self, "scale", np.sqrt(np.maximum(diagonal, floor)))
 
-    @property
+    @cached_property
     def scaled(self) -> np.ndarray:
         """N with a unit diagonal: parameters of any unit weigh alike."""
-        return self.n / np.outer(self.scale, self.scale)
+        return self.n / self.scale / self.scale[:, None]
 
-    @property
+    @cached_property
     def _border(self) -> tuple[np.ndarray, np.ndarray]:
         """H and w in scaled parameters, rows of unit length."""
         u = len(self.gradient)
@@ -92,5 +93,5 @@ class Dense:
         if np.linalg.cond(bordered) > 1e15:
             raise np.linalg.LinAlgError("singular normal matrix")
         q = np.linalg.inv(bordered)[:u, :u]
-        q = q / np.outer(self.scale, self.scale)
+        q = q / self.scale / self.scale[:, None]
         return (q + q.T) / 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -50,22 +51,22 @@ class Interior:
         if not np.all(np.isfinite(self.parameters)):
             raise BadProject("an interior orientation parameter is not a finite number")
 
-    @property
+    @cached_property
     def pitch(self) -> np.ndarray:
         """(2,) pixel pitch in x and y, mm."""
-        return np.broadcast_to(np.asarray(self.pixel_mm, float), (2,))
+        return np.array(np.broadcast_to(self.pixel_mm, (2,)), float)
 
-    @property
+    @cached_property
     def parameters(self) -> np.ndarray:
         """(10,) c, xp, yp, k1, k2, k3, p1, p2, b1, b2."""
         return np.array([getattr(self, name) for name in PARAMETERS], float)
 
-    @property
+    @cached_property
     def coefficients(self) -> np.ndarray:
         """(7,) k1, k2, k3, p1, p2, b1, b2."""
         return self.parameters[3:]
 
-    @property
+    @cached_property
     def principal_point(self) -> np.ndarray:
         """(2,) mm, photo frame."""
         return np.array([self.xp, self.yp])

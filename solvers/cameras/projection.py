@@ -7,6 +7,7 @@ ideal x = -c U / W, ideal y = -c V / W; the measured point is where the correcti
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -19,19 +20,31 @@ from .interior import Interior
 class Projection:
     """Pixels (n, 2) and their derivatives; NaN where a point lies behind the camera or beyond the distortion's range.
 
-    centre (n, 2, 3) px/m, rotation (n, 2, 3) px/rad (left rotation vector), point (n, 2, 3) px/m,
-    interior (n, 2, 10) px per unit of each of `PARAMETERS`.
+    centre (n, 2, 3) px/m, rotation (n, 2, 3) px/rad (left rotation vector). camera, ideal (n, 2), reduced (n, 2) mm and
+    by_ideal (n, 2, 2) px/mm are what the derivatives by the interior orientation are made of.
     """
 
     pixels: np.ndarray
     centre: np.ndarray
     rotation: np.ndarray
-    interior: np.ndarray
+    camera: Interior
+    ideal: np.ndarray
+    reduced: np.ndarray
+    by_ideal: np.ndarray
 
     @property
     def point(self) -> np.ndarray:
         """(n, 2, 3) derivatives by the object point: moving the point is moving the camera the other way."""
         return -self.centre
+
+    @cached_property
+    def interior(self) -> np.ndarray:
+        """(n, 2, 10) px per unit of each of `PARAMETERS`; made only when asked for."""
+        out = np.empty((len(self.ideal), 2, 10))
+        out[:, :, 0] = (self.by_ideal @ (self.ideal / self.camera.c)[:, :, None])[:, :, 0]
+        out[:, :, 1:3] = np.diag([1.0, -1.0] / self.camera.pitch)
+        out[:, :, 3:] = -self.by_ideal @ correct_derivatives(self.reduced)
+        return out
 
 
 def ideal_photo(c: float, exterior: Exterior, points: np.ndarray) -> np.ndarray:
@@ -49,29 +62,20 @@ def project(interior: Interior, exterior: Exterior, points: np.ndarray) -> np.nd
 def project_derivatives(interior: Interior, exterior: Exterior, points: np.ndarray) -> Projection:
     """Pixels of object points (n, 3) m with all derivatives, exact for the ten-parameter model."""
     uvw = exterior.camera(points)
-    u, v = uvw[:, 0], uvw[:, 1]
-    w = np.where(uvw[:, 2] < 0, uvw[:, 2], np.nan)
-    c, n = interior.c, len(uvw)
+    c, n, w = interior.c, len(uvw), uvw[:, 2]
+    per_depth = c / np.where(w < 0, -w, np.nan)
+    ideal = uvw[:, :2] * per_depth[:, None]
+    reduced = distort(interior.coefficients, ideal)  # measured, reduced to the principal point
+    by_ideal = np.broadcast_to(np.diag([1.0, -1.0] / interior.pitch), (n, 2, 2))
+    if interior.coefficients.any():
+        by_ideal = by_ideal @ np.linalg.inv(correct_jacobian(interior.coefficients, reduced))
     by_uvw = np.zeros((n, 2, 3))
-    by_uvw[:, 0, 0] = by_uvw[:, 1, 1] = -c / w
-    by_uvw[:, 0, 2], by_uvw[:, 1, 2] = c * u / w**2, c * v / w**2
-    ideal = np.stack([-c * u / w, -c * v / w], -1)
-    coefficients = interior.coefficients
-    reduced = distort(coefficients, ideal)  # measured, reduced to the principal point
-    to_pixel = np.array([1.0, -1.0]) / interior.pitch
-    if coefficients.any():
-        inverse = np.linalg.inv(correct_jacobian(coefficients, reduced))
-    else:
-        inverse = np.broadcast_to(np.eye(2), (n, 2, 2))
-    through = to_pixel[:, None] * inverse  # d pixel / d ideal
-    by_camera = through @ by_uvw
-    by_interior = np.empty((n, 2, 10))
-    by_interior[:, :, 0] = (through @ (ideal / c)[:, :, None])[:, :, 0]
-    by_interior[:, :, 1:3] = np.diag(to_pixel)
-    by_interior[:, :, 3:] = -through @ correct_derivatives(reduced)
+    by_uvw[:, 0, 0] = by_uvw[:, 1, 1] = per_depth
+    by_uvw[:, :, 2] = ideal * (per_depth / c)[:, None]
+    by_camera = by_ideal @ by_uvw
     return Projection(
         pixels=interior.pixels(reduced + interior.principal_point),
         centre=-by_camera @ exterior.m,
         rotation=-by_camera @ skew(uvw),
-        interior=by_interior,
+        camera=interior, ideal=ideal, reduced=reduced, by_ideal=by_ideal,
     )

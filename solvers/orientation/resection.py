@@ -9,7 +9,7 @@ import numpy as np
 from ..adjustment import Dense, Linear
 from ..cameras import PARAMETERS, Interior, project, project_derivatives
 from ..errors import BadProject
-from ..geometry import Exterior, exp, log
+from ..geometry import Exterior, exp, log, skew
 
 COLUMNS = ("X", "Y", "Z", *(f"m{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)))
 UNITS = ("m", "m", "m", *(9 * ("1",)))
@@ -33,6 +33,16 @@ class PriorOrientation:
     def misclosure(self, exterior: Exterior) -> np.ndarray:
         """(6,) prior minus current: centre [m] and rotation vector [rad]."""
         return np.concatenate([self.exterior.centre - exterior.centre, log(self.exterior.m @ exterior.m.T)])
+
+    def derivatives(self, exterior: Exterior) -> np.ndarray:
+        """(6, 6) minus d misclosure / d (centre, left rotation vector): log(exp(r) exp(-d)) = r - J d, J the inverse of
+        the right Jacobian of the rotations at r."""
+        out = np.eye(6)
+        r = self.misclosure(exterior)[3:]
+        k, theta = skew(r), float(np.linalg.norm(r))
+        curve = 1 / 12 if theta < 1e-3 else (1 - theta / 2 / np.tan(theta / 2)) / theta**2
+        out[3:, 3:] += k / 2 + curve * (k @ k)
+        return out
 
     @property
     def count(self) -> int:
@@ -92,11 +102,11 @@ class Resection:
         """Residuals, derivatives and weights at x; a prior joins as three whitened pairs behind the points."""
         exterior = Exterior.from_vector(x)
         at = project_derivatives(self.interior_at(x), exterior, self.points)
-        j = np.concatenate([at.centre, at.rotation, at.interior[:, :, self._free_index]], axis=2)
+        j = np.concatenate([at.centre, at.rotation, *([at.interior[:, :, self._free_index]] if self.free else [])], axis=2)
         v, p = self.pixels - at.pixels, self.weights
         if self.prior is not None:
             rows = np.zeros((3, 2, j.shape[2]))
-            rows[:, :, :6] = self.prior.root.reshape(3, 2, 6)
+            rows[:, :, :6] = (self.prior.root @ self.prior.derivatives(exterior)).reshape(3, 2, 6)
             j = np.concatenate([j, rows])
             v = np.concatenate([v, (self.prior.root @ self.prior.misclosure(exterior)).reshape(3, 2)])
             p = np.concatenate([p, np.broadcast_to(np.eye(2), (3, 2, 2))])
