@@ -1,10 +1,12 @@
-"""Which control points are blunders: consensus over three-point orientations, then data snooping to the end."""
+"""Which control points are blunders: consensus over three-point orientations, a robust adjustment of all points from
+there, then data snooping to the end."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ..adjustment import precision, solve
+from ..adjustment.losses import LOSSES
 from ..cameras import project
 from ..errors import DegenerateGeometry
 from ..geometry import Exterior
@@ -19,8 +21,10 @@ REJECT = 5.0
 _SEED = 1981  # Fischler & Bolles
 
 
-def inliers(control: Control, trials: int = 400) -> np.ndarray:
-    """(n,) which points agree with one orientation. Reference: Fischler & Bolles 1981; Chum et al. 2003 (local optimization).
+def inliers(control: Control, loss: str = "danish", trials: int = 400) -> np.ndarray:
+    """(n,) which points agree with one orientation; loss: one of `adjustment.losses.LOSSES`.
+
+    Reference: Fischler & Bolles 1981; Chum et al. 2003 (local optimization); Baarda 1968 (data snooping).
 
     Raises DegenerateGeometry when no orientation has the agreement of at least four points.
     """
@@ -52,7 +56,29 @@ def inliers(control: Control, trials: int = 400) -> np.ndarray:
     if best.sum() < 4:
         raise DegenerateGeometry(f"image '{control.image}': no four control points agree with one orientation; "
                                  "check point names, pixel order and the camera")
-    return _snoop(control, best)
+    return _snoop(control, _reweighted(control, best, loss))
+
+
+def _reweighted(control: Control, used: np.ndarray, loss: str, rounds: int = 10) -> np.ndarray:
+    """(n,) the points that keep more than half their weight in a robust adjustment of all, begun at the agreeing ones."""
+    some = control.take(used)
+    mean = some.points.mean(axis=0)
+    found = candidates(some.points - mean, some.interior.ideal(some.pixels), some.interior.c)
+    if not found:
+        return used
+    at = found[0].exterior.shifted(-mean)
+    factor = np.where(used, 1.0, 0.0)
+    for _ in range(rounds):
+        live = factor > 1e-3
+        if live.sum() < 4:
+            return used
+        part, weight = control.take(live), factor[live]
+        problem = Resection(part.interior, part.points, part.pixels, part.weights(at) * weight[:, None, None])
+        at = Exterior.from_vector(solve(problem, problem.start(at)).last.x)
+        before, factor = factor, LOSSES[loss](np.sqrt(_squared(control, at, np.zeros(3))))
+        if np.abs(factor - before).max() < 1e-3:
+            break
+    return factor > 0.5 if (factor > 0.5).sum() >= 4 else used
 
 
 def _squared(control: Control, exterior: Exterior, mean: np.ndarray) -> np.ndarray:

@@ -41,6 +41,7 @@ class Request:
     model: Literal["perspective", "orthogonal"] = "perspective"
     points: tuple[str, ...] | None = None
     robust: bool = False
+    loss: Literal["huber", "cauchy", "danish"] = "danish"
     prior: Literal["none", "initial", "weighted"] = "none"
     one_pass: bool = False
     form: Form = "depth"
@@ -91,7 +92,7 @@ def prepare(block: Block, request: Request) -> Start:
     weighted = prior if request.prior == "weighted" and request.model == "perspective" else None
     if weighted is None or weighted.count < 6:
         require(everything, request.model)
-    used = inliers(everything) if request.robust else np.ones(len(everything), bool)
+    used = inliers(everything, request.loss) if request.robust else np.ones(len(everything), bool)
     control = everything.take(used)
     mean = control.points.mean(axis=0) if len(control) else np.zeros(3)
     found: list[Candidate] = []
