@@ -85,7 +85,7 @@ def direct_linear_transformation(points: np.ndarray, photo: np.ndarray, sigma_mm
     s = np.linalg.svd(points - mean, compute_uv=False)
     if s[2] < 1e-4 * s[0]:
         raise DegenerateGeometry("the direct linear transformation needs points that are not in one plane; add control in height")
-    scale, size = np.sqrt(n) / s[0], float(np.abs(photo).max())
+    scale, size = np.sqrt(n) / s[0], 2.0 ** np.round(np.log2(np.abs(photo).max()))  # a round unit, the same under noise
     weights = np.eye(2) * (size / np.broadcast_to(np.asarray(sigma_mm, float), (n,)))[:, None, None] ** 2
     problem = DirectLinear((points - mean) * scale, photo / size, weights)
     trace = solve(problem, problem.start())
