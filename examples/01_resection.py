@@ -27,7 +27,8 @@ def shown(rows: Iterator[Iteration], origin: np.ndarray) -> Iterator[Iteration]:
     print(f"{'row':>4} {'sigma0':>12} {'step':>10}   {'X':>12} {'Y':>13} {'Z':>10}   m")
     for row in rows:
         x, y, z = row.x[:3] + origin
-        print(f"{row.index:4d} {row.sigma0:12.4f} {row.step:10.2g}   {x:12.3f} {y:13.3f} {z:10.3f}   {row.stop or ''}")
+        step = "" if row.index == 0 else f"{row.step:.2g}"
+        print(f"{row.index:4d} {row.sigma0:12.4f} {step:>10}   {x:12.3f} {y:13.3f} {z:10.3f}   {row.stop or ''}")
         yield row
 
 

@@ -38,7 +38,8 @@ def main() -> None:
     start = prepare(block, Request(image, "orthogonal", points=members["cluster1"]))
     rows = tuple(iterate(start.problem, start.x0, start.options))
     for row in rows:
-        print(f"row {row.index:3d}   sigma0 {row.sigma0:12.5f}   step {row.step:9.2g}   {row.stop or ''}")
+        step = "" if row.index == 0 else f"{row.step:.2g}"
+        print(f"row {row.index:3d}   sigma0 {row.sigma0:12.5f}   step {step:>9}   {row.stop or ''}")
     first = conclude(start, Trace(rows, start.manifest))
 
     heads = " ".join(f"{h:>8}" for h in ("X m", "Y m", "Z m", "omega", "phi", "kappa"))

@@ -6,13 +6,19 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from ..errors import BadProject
+from .close_range import calibration_plate, field_long_range, ono_stereo, ono_triplet
 from .clusters import uav_cluster
+from .flights import uav_block
 from .scene import Render, Simulated
 from .terrain import Terrain
 
-__all__ = ["KINDS", "Render", "Simulated", "Terrain", "simulate", "uav_cluster"]
+__all__ = ["KINDS", "Render", "Simulated", "Terrain", "calibration_plate", "field_long_range", "ono_stereo", "ono_triplet",
+           "simulate", "uav_block", "uav_cluster"]
 
-KINDS: Mapping[str, Callable[..., Simulated]] = {"uav_cluster": uav_cluster}
+KINDS: Mapping[str, Callable[..., Simulated]] = {
+    "uav_cluster": uav_cluster, "ono_stereo": ono_stereo, "ono_triplet": ono_triplet, "field_long_range": field_long_range,
+    "uav_block": uav_block, "calibration_plate": calibration_plate,
+}
 
 
 def simulate(kind: str, seed: int = 0, **options: Any) -> Simulated:

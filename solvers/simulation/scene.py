@@ -10,7 +10,7 @@ import numpy as np
 
 from ..block import Block, Observations, Points, Prior
 from ..cameras import PARAMETERS, Interior, project
-from ..geometry import Exterior
+from ..geometry import Exterior, rotation
 from .terrain import Terrain
 
 Render = Callable[[str, int], np.ndarray]
@@ -52,6 +52,14 @@ def _camera(interior: Interior) -> dict[str, Any]:
 def pose(omega_deg: float, phi_deg: float, kappa_deg: float, centre: np.ndarray) -> Exterior:
     """Exterior orientation of angles in degrees and a perspective centre (3,) m."""
     return Exterior.from_angles(np.radians(omega_deg), np.radians(phi_deg), np.radians(kappa_deg), centre)
+
+
+def look_at(centre: np.ndarray, target: np.ndarray, roll_deg: float = 0.0) -> Exterior:
+    """Exterior orientation of a camera at `centre` (3,) m aiming at `target`, +Y up in the photo, then rolled about its axis."""
+    back = (centre - target) / np.linalg.norm(centre - target)
+    right = np.cross([0.0, 1.0, 0.0], back)
+    right /= np.linalg.norm(right)
+    return Exterior(rotation(0.0, 0.0, np.radians(roll_deg)) @ np.stack([right, np.cross(back, right), back]), centre)
 
 
 def observe(cameras: list[Interior], exteriors: list[Exterior], xyz: np.ndarray, sigma: float, noise: float,

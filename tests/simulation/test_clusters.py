@@ -3,7 +3,7 @@ import pytest
 
 from solvers.cameras import project
 from solvers.errors import BadProject
-from solvers.simulation import KINDS, Simulated, simulate
+from solvers.simulation import Simulated, simulate
 from solvers.simulation.relief import RIVER_HALF_WIDTH, river
 
 
@@ -96,4 +96,3 @@ def test_options_set_the_sigmas():
 def test_an_unknown_kind_is_named():
     with pytest.raises(BadProject, match="'moon'; choose uav_cluster"):
         simulate("moon")
-    assert "uav_cluster" in KINDS
