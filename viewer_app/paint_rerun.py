@@ -36,6 +36,8 @@ TIMELINE = "iteration"
 LOGARITHMIC = ("cost", "sigma0", "step")
 KINDS = {"control": theme.CONTROL, "check": theme.CHECK, "off": theme.INITIAL}
 JPEG_QUALITY = 85
+STAMP = 256
+"""Longer side (px) of the photo in an image plane in space, at most; not compressed, so that it is there at once."""
 RESIDUAL_SHARE = 0.08
 """Length of the longest residual vector on a photo, as a share of its width, that the exaggeration aims at."""
 
@@ -119,15 +121,17 @@ class _Painter:
         """The photo under its measurements, in pixels of the full format, and in the image planes of its cameras."""
         import rerun as rr
 
-        camera, picture = self.block.camera_of(name), None
+        camera, stamp = self.block.camera_of(name), None
         if photo is not None:
             picture = rr.Image(np.ascontiguousarray(photo)).compress(jpeg_quality=JPEG_QUALITY)
             enlarge = rr.Transform3D(scale=[camera.width / photo.shape[1], camera.height / photo.shape[0], 1.0])
             self._static(f"/images/{part(name)}/photo/picture", picture, enlarge)
+            skip = -(-max(photo.shape[:2]) // STAMP)
+            stamp = np.ascontiguousarray(photo[skip // 2::skip, skip // 2::skip])
         for model in models:
             path = f"/images/{part(name)}/{model}/camera"
-            shown = [picture] if picture is not None and model == models[0] else []
-            self._static(path, pinhole(camera, theme.MODELS[model], self.depth, photo), rr.TransformAxes3D(0.0), *shown)
+            shown = [rr.Image(stamp)] if stamp is not None and model == models[0] else []
+            self._static(path, pinhole(camera, theme.MODELS[model], self.depth, stamp), rr.TransformAxes3D(0.0), *shown)
 
     def _camera(self, path: str, name: str, exterior: Exterior, colour: theme.Colour, size: float) -> None:
         import rerun as rr
