@@ -20,7 +20,7 @@ _SMALL = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 kernel = njit(no_cpython_wrapper=True, _nrt=False, **_SMALL)
 fast_kernel = njit(no_cpython_wrapper=True, _nrt=False, fastmath=FAST, **_SMALL)
 python_kernel = njit(_nrt=False, nogil=True, **_SMALL)
-entry = njit(nogil=True, **_SMALL)
+inlined = njit(no_cpython_wrapper=True, _nrt=False, inline="always", **_SMALL)
 OK, AMBIGUOUS, TOO_FEW, COLLINEAR, DIVERGED, NOT_FINITE, BEHIND_CAMERA, OUTLIER, WEAK, SINGULAR = range(10)
 MAX_MINIMA = 12
 MAX_STARTS = 40
@@ -240,20 +240,23 @@ def copy_pose(R, t, Rn, tn):
 
 @kernel
 def refine(Y, n, R, t, work, ceiling):
-    """Levenberg-Marquardt from (R, t), in place. Returns (cost, converged); inf when the start is behind the camera.
+    """Levenberg-Marquardt from (R, t), in place. Returns (cost, how): 0 failed, 1 converged, 2 creeps along a flat valley.
 
-    Gives up at once when the first step does not promise to come below the ceiling.
+    Gives up at once when the start is behind the camera (inf) or its first step does not promise to come below the ceiling.
     """
     A, B, L, g, h, x, Rn, tn = work
     copy_pose(Rn, tn, R, t)
     cost = np.inf
     damping = 0.0
     rejected = 0
-    for step in range(60):
+    for step in range(50):
         trial = normal(Y, n, Rn, tn, B, h)
         if step == 0 and not trial < np.inf:
-            return np.inf, False
+            return np.inf, 0
         if step == 0 or trial <= cost * (1.0 + 1e-12):
+            if step > 15 and cost - trial < 1e-4 * (1.0 + 1e-3 * cost):
+                copy_pose(R, t, Rn, tn)
+                return trial, 2
             cost = trial
             A, B = B, A
             g, h = h, g
@@ -267,17 +270,17 @@ def refine(Y, n, R, t, work, ceiling):
             damping = max(10.0 * damping, 1e-6)
             rejected += 1
             if not damping < 1e6:
-                return cost, False
+                return cost, 0
         if rejected > 15:
-            return cost, False
+            return cost, 0
         promised = solve(L, g, x)
         if step == 0 and cost - promised > ceiling:
-            return cost, False
+            return cost, 0
         retract(R, t, x, Rn, tn)
         if promised < 1e-6 + 1e-13 * cost and damping < 1e-2:
             copy_pose(R, t, Rn, tn)
-            return max(cost - promised, 0.0), True
-    return cost, False
+            return max(cost - promised, 0.0), 1
+    return cost, 0
 
 
 @kernel
@@ -558,7 +561,7 @@ def three_point(Y, i, j, k, Rs, ts, f, World, Cam, roots):
     p, q, h, gg = (a2 - c2) / b2, (a2 + c2) / b2, c2 / b2, a2 / b2
     A4 = (p - 1.0) ** 2 - 4.0 * h * ca * ca
     A3 = 4.0 * (p * (1.0 - p) * cb - (1.0 - q) * ca * cg + 2.0 * h * ca * ca * cb)
-    A2 = 2.0 * (p * p - 1.0 + 2.0 * p * p * cb * cb + 2.0 * (1.0 - h) * ca * ca - 4.0 * q * ca * cb * cg + 2.0 * (1.0 - gg) * cg * cg)
+    A2 = 2.0 * (p * p * (1.0 + 2.0 * cb * cb) - 1.0 + 2.0 * (1.0 - h) * ca * ca - 4.0 * q * ca * cb * cg + 2.0 * (1.0 - gg) * cg * cg)
     A1 = 4.0 * (-p * (1.0 + p) * cb + 2.0 * gg * cg * cg * cb - (1.0 - q) * ca * cg)
     A0 = (1.0 + p) ** 2 - 4.0 * gg * cg * cg
     if not abs(A4) > 1e-12 * (abs(A3) + abs(A2) + abs(A1) + abs(A0)):
@@ -670,7 +673,7 @@ def bad_fit(dof):
     return dof * (1.0 - k + 4.5 * np.sqrt(k)) ** 3
 
 
-@kernel
+@inlined
 def general_starts(Y, n, stage, ws):
     """Fills the starts: the likelier of both scaled orthographies (stage 1), or both and three-point poses (stage 2)."""
     _, E, values, V, Rs, ts, small, roots, _, _ = ws
@@ -717,6 +720,7 @@ def orient(Y, n, stage, ws):
     count = 0
     front = 0
     eigen = False
+    slow = np.inf
     while stage < 3:
         if stage == 0:
             starts = 1 if nadir_start(Y, n, Rs[0], ts[0]) > 0.9 else 0
@@ -733,10 +737,13 @@ def orient(Y, n, stage, ws):
         ceiling = np.inf
         m = 0
         while m < starts:
-            cost, converged = refine(Y, n, Rs[m], ts[m], work, ceiling)
+            cost, how = refine(Y, n, Rs[m], ts[m], work, ceiling)
             front += cost < np.inf
-            if converged:
+            if how == 1:
                 count = keep(minima, count, Rs[m], ts[m], cost)
+            elif how == 2 and cost < slow:
+                slow = cost
+                copy_pose(Rs[MAX_STARTS - 1], ts[MAX_STARTS - 1], Rs[m], ts[m])
             m += 1
             if m == first and count > 0 and (stage == 2 or cm[0] < limit):
                 for k in range(1 if stage < 2 else min(count, 2)):
@@ -745,10 +752,15 @@ def orient(Y, n, stage, ws):
                 if stage < 2:
                     ceiling = cm[0] + 25.0 * AMBIGUOUS_CHI2 * max(1.0, cm[0] / dof)
         stage = 3 if count > 0 and cm[0] < limit else stage + 1
+    weak = slow < np.inf and (count == 0 or slow < cm[0] - 0.1)  # a flat valley lies deeper than every minimum
+    if weak:
+        count = keep(minima, count, Rs[MAX_STARTS - 1], ts[MAX_STARTS - 1], slow)
     if count == 0:
         return (DIVERGED if front > 0 else BEHIND_CAMERA), 0
     if cm[0] > limit:
         return OUTLIER, count
+    if weak:
+        return WEAK, count
     other = cm[1] - cm[0] if count > 1 else np.inf
     return (AMBIGUOUS if other < AMBIGUOUS_CHI2 * max(1.0, cm[0] / max(dof, 1)) else OK), count
 
@@ -785,12 +797,14 @@ def covariance(Y, n, R, t, work, cov):
     return True
 
 
-@entry
 def workspace():
-    """Everything one thread needs to orient images one after another; the last item holds the minima."""
+    """Everything one thread needs to orient images one after another (made by the caller); the last item holds the minima."""
     work = (
-        np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6)), np.empty(6), np.empty(6), np.empty(6), np.empty((3, 3)), np.empty(3),
-    )  # fmt: skip
+        *(np.empty((6, 6)) for _ in range(3)),
+        *(np.empty(6) for _ in range(3)),
+        np.empty((3, 3)),
+        np.empty(3),
+    )
     minima = (np.empty((MAX_MINIMA, 3, 3)), np.empty((MAX_MINIMA, 3)), np.empty(MAX_MINIMA))
     starts = (np.empty((MAX_STARTS, 3, 3)), np.empty((MAX_STARTS, 3)))
     small = (np.empty((4, 3, 3)), np.empty(4), np.empty(6, np.int64))
@@ -993,8 +1007,10 @@ def no_pose(M, C, cov):
             M[i % 3, j % 3] = np.nan
 
 
-@kernel
-def resect_images(ws, Y, index, mean, X, pixel, valid, sigma, camera, start, stop, M, C, cov, sigma0, chi, status, worst):
+@python_kernel
+def resect_images(
+    ws, Y, index, mean, X, pixel, valid, sigma, camera, start, stop, M, C, cov, sigma0, chi, status, worst
+):  # fmt: skip
     """Orients images start .. stop - 1; pose and covariance are NaN where the status gives none.
 
     chi: square root of how much worse the runner-up fits; worst: the point with the largest residual where an outlier is likely.
@@ -1021,16 +1037,10 @@ def resect_images(ws, Y, index, mean, X, pixel, valid, sigma, camera, start, sto
         status[b] = code
 
 
-@entry
-def resect_range(X, pixel, valid, sigma, camera, start, stop, M, C, cov, sigma0, chi, status, worst):
-    """resect_images with a workspace of its own; lets go of the interpreter's lock."""
-    n = X.shape[1]
-    Y, index, mean = np.empty((6, n)), np.empty(n, np.int64), np.empty(3)
-    resect_images(workspace(), Y, index, mean, X, pixel, valid, sigma, camera, start, stop, M, C, cov, sigma0, chi, status, worst)
-
-
-@kernel
-def orthogonal_images(ws, Y, index, mean, X, pixel, valid, sigma, camera, start, stop, M, C, cov, sigma0, chi, status, worst):
+@python_kernel
+def orthogonal_images(
+    ws, Y, index, mean, X, pixel, valid, sigma, camera, start, stop, M, C, cov, sigma0, chi, status, worst
+):  # fmt: skip
     """Turns the perspective poses of resect_range into orthogonal ones, in place."""
     R, t = ws[9][0][0], ws[9][1][0]
     for b in range(start, stop):
@@ -1050,11 +1060,3 @@ def orthogonal_images(ws, Y, index, mean, X, pixel, valid, sigma, camera, start,
             no_pose(M[b], C[b], cov[b])
             sigma0[b] = np.nan
             status[b] = DIVERGED
-
-
-@entry
-def orthogonal_range(X, pixel, valid, sigma, camera, start, stop, M, C, cov, sigma0, chi, status, worst):
-    """orthogonal_images with a workspace of its own; lets go of the interpreter's lock."""
-    n = X.shape[1]
-    Y, index, mean = np.empty((6, n)), np.empty(n, np.int64), np.empty(3)
-    orthogonal_images(workspace(), Y, index, mean, X, pixel, valid, sigma, camera, start, stop, M, C, cov, sigma0, chi, status, worst)

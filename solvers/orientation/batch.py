@@ -42,7 +42,7 @@ class Status(IntEnum):
 
 _WORDS = {
     Status.OK: "oriented",
-    Status.AMBIGUOUS: "ambiguous: another orientation fits as well, see solutions(); a fourth point off the plane or a prior decides",
+    Status.AMBIGUOUS: "ambiguous: another orientation fits as well, see solutions(); more points or a prior decide",
     Status.TOO_FEW: "fewer than three valid points",
     Status.COLLINEAR: "the points lie on one line or at one place and leave a rotation free",
     Status.DIVERGED: "no start converged",
@@ -131,10 +131,20 @@ def resect_many(
         raise ValueError("sigma_px must be positive, in pixels")
     camera = np.concatenate([interior.parameters, interior.pitch, [(interior.width - 1) / 2, (interior.height - 1) / 2]])
     B = len(X)
-    out = (np.empty((B, 3, 3)), np.empty((B, 3)), np.empty((B, 6, 6)), np.empty(B), np.empty(B), np.empty(B, np.int64), np.empty(B, np.int64))
-    _spread(lambda i, j: kernels.resect_range(X, uv, use, sigma, camera, i, j, *out), B, threads)
+    poses = np.empty((B, 3, 3)), np.empty((B, 3)), np.empty((B, 6, 6))
+    out = (*poses, np.empty(B), np.empty(B), np.empty(B, np.int64), np.empty(B, np.int64))
+
+    def run(kernel):
+        def work(start: int, stop: int) -> None:
+            n = shape[1]
+            buffers = kernels.workspace(), np.empty((6, n)), np.empty(n, np.int64), np.empty(3)
+            kernel(*buffers, X, uv, use, sigma, camera, start, stop, *out)
+
+        _spread(work, B, threads)
+
+    run(kernels.resect_images)
     if model == "orthogonal":
-        _spread(lambda i, j: kernels.orthogonal_range(X, uv, use, sigma, camera, i, j, *out), B, threads)
+        run(kernels.orthogonal_images)
     M, C, cov, sigma0, chi, status, worst = out
     return ResectMany(M, C, cov, sigma0, status, chi, worst, (interior, X, uv, use, sigma))
 
