@@ -12,6 +12,7 @@ from solvers.adjustment import Iteration, Trace
 from solvers.block import Observations
 from solvers.orientation import Advice, Orientation
 
+from .scene import ellipsoid_scale
 from .state import FORMS, HISTORY, PRIORS, Job, Mark, Photo, Settings, Solution, State, Terrain, View, Work
 
 STEPS = ("first", "previous", "next", "last")
@@ -326,4 +327,7 @@ def _arrive(state: State, action: Rows | Solved | Advised | Failed) -> State:
         case Failed(_, why):
             solution = Solution(job.revision, error=why)
     solutions = {**state.work.solutions, (job.image, job.model): solution}
-    return _follow(replace(state, work=replace(state.work, solutions=solutions)))
+    state = replace(state, work=replace(state.work, solutions=solutions))
+    if solution.orientation is not None and state.view.ellipsoid == 0:
+        state = replace(state, view=replace(state.view, ellipsoid=ellipsoid_scale(state, solution.orientation)))
+    return _follow(state)

@@ -80,6 +80,7 @@ class App:
         self._closed.set()
         self._actions.put(None)
         self._loop.join(timeout=10)
+        self._reader.join(timeout=10)
         self._jobs.close()
         self._rerun.close()
         self.server.stop()
@@ -145,6 +146,7 @@ class App:
         server, gui = self.server, self.server.gui
         server.scene.set_up_direction("+z")
         server.scene.world_axes.visible = False
+        server.scene.configure_default_lights(cast_shadow=False)
         camera = server.initial_camera
         camera.position, camera.look_at, camera.far = home(self._state)
         camera.near, camera.fov = camera.far / 20000, np.radians(45)
@@ -157,19 +159,19 @@ class App:
 
     def _tabs(self, gui: viser.GuiApi) -> None:
         tabs = gui.add_tab_group()
-        with tabs.add_tab("Orientation", viser.Icon.CAMERA):
+        with tabs.add_tab("Orientation"):
             self._panels.append(OrientationPanel(gui, self.emit, self._wire, self._state))
-            with gui.add_folder("Scene", expand_by_default=False):
-                self._panels.append(ScenePanel(gui, self.emit))
-        with tabs.add_tab("Project", viser.Icon.FOLDER):
+        with tabs.add_tab("Project"):
             self._panels.append(ProjectPanel(gui, self.emit, self._wire, self._ways()))
         gui.main_panel.dock_right()
         gui.main_panel.set_width(410)
         below = gui.add_panel()
-        with below.add_tab("Iterations", viser.Icon.CHART_LINE):
+        with below.add_tab("Iterations"):
             self._panels.append(TracePanel(gui, self.emit, self._wire))
-        with below.add_tab("Photo", viser.Icon.PHOTO):
+        with below.add_tab("Photo"):
             self._panels.append(PhotoPanel(gui, self.emit, self._wire, crop))
+        with below.add_tab("Scene"):
+            self._panels.append(ScenePanel(gui, self.emit))
         below.float(x=12, y=-12, width=430)
 
     def _ways(self) -> dict[str, tuple[str, Callable[[viser.ClientHandle | None], None]]]:

@@ -95,7 +95,7 @@ def refuse(headers: dict[str, str], path: str, token: str | None, hosts: frozens
     if token is not None:
         shown = [c.strip().removeprefix("collinea=") for c in said.get("cookie", "").split(";") if c.strip().startswith("collinea=")]
         shown += [q.removeprefix("token=") for q in path.partition("?")[2].split("&") if q.startswith("token=")]
-        if not any(secrets.compare_digest(c.encode(), token.encode()) for c in shown):
+        if not any(secrets.compare_digest(c.encode("utf-8", "surrogateescape"), token.encode()) for c in shown):
             return HTTPStatus.FORBIDDEN, "open the address printed in the terminal"
     return None
 

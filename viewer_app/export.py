@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from .values import Ellipsoid, Frustum, Mesh, Plane, PointCloud, Scene, Segments, Value
+from .values import Ellipsoid, Frustum, Mesh, Plane, PointCloud, Scene, Segments, Value, linear
 
 
 def frustum_corners(value: Frustum) -> np.ndarray:
@@ -35,8 +35,10 @@ def _collect(scene: Scene) -> Any:
 
     out = trimesh.Scene()
     for path, value in scene.items():
-        lines = _lines(value)
-        for kind, geometry in (("", _triangles(value)), ("/lines", lines)):
+        solid = _triangles(value)
+        if solid is not None:
+            solid.visual.vertex_colors[:, :3] = linear(solid.visual.vertex_colors[:, :3])
+        for kind, geometry in (("", solid), ("/lines", _lines(value))):
             if geometry is not None:
                 out.add_geometry(geometry, node_name=path + kind, geom_name=path + kind)
     return out

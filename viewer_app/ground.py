@@ -16,12 +16,9 @@ def nice(value: float) -> float:
 
 
 def site(state: State) -> tuple[np.ndarray, np.ndarray]:
-    """Corners (3,) low and high of the known points (and the terrain) in the local frame."""
+    """Corners (3,) low and high of the known points, with a little room around, in the local frame."""
     xyz = state.assets.frame.to_local(state.block.points.xyz)
     xyz = xyz[np.isfinite(xyz).all(axis=1)]
-    terrain = state.assets.terrain
-    if terrain is not None:
-        xyz = np.vstack([xyz, terrain.vertices.min(axis=0), terrain.vertices.max(axis=0)])
     if not len(xyz):
         return np.full(3, -10.0), np.full(3, 10.0)
     low, high = xyz.min(axis=0), xyz.max(axis=0)
@@ -29,15 +26,18 @@ def site(state: State) -> tuple[np.ndarray, np.ndarray]:
     return low - room, high + room
 
 
-def ground(state: State) -> Scene:
+def ground(state: State, vectors: float) -> Scene:
     """Terrain or a plane at the mean height of the points, a grid in metres, north and a scale bar."""
     low, high = site(state)
     span = float((high - low)[:2].max())
     cell = nice(span / 8)
     found: Scene = {}
     terrain = state.assets.terrain
-    level = low[2] - 0.01 * span
-    if terrain is None:
+    if terrain is not None:
+        corners = np.array([terrain.vertices.min(axis=0), terrain.vertices.max(axis=0)])
+        low, high = np.minimum(low, corners[0]), np.maximum(high, corners[1])
+        level = float(corners[0, 2]) - 0.02 * span
+    else:
         xyz = state.assets.frame.to_local(state.block.points.xyz)
         heights = xyz[np.isfinite(xyz).all(axis=1), 2]
         given = state.assets.level
@@ -46,13 +46,13 @@ def ground(state: State) -> Scene:
     x1, y1 = np.ceil(high[:2] / cell) * cell
     if state.view.terrain:
         if terrain is not None:
-            found["/ground/terrain"] = Mesh(terrain.vertices, terrain.faces, terrain.colours)
+            found["/ground/terrain"] = Mesh(terrain.vertices, terrain.faces, terrain.colours, lowered(state))
         else:
             corners = np.array([[x0, y0, level], [x1, y0, level], [x1, y1, level], [x0, y1, level]])
             found["/ground/plane"] = Plane(corners, theme.INITIAL, 0.12)
     fine = (70, 74, 80) if state.view.dark else (208, 212, 216)
     found["/ground/grid"] = Segments(_grid(x0, x1, y0, y1, cell, level), fine, 1.0)
-    return found | _north(state, x0, x1, y0, y1, level, cell)
+    return found | _north(state, x0, x1, y0, y1, level, cell, vectors)
 
 
 def _grid(x0: float, x1: float, y0: float, y1: float, cell: float, z: float) -> np.ndarray:
@@ -61,7 +61,7 @@ def _grid(x0: float, x1: float, y0: float, y1: float, cell: float, z: float) -> 
     return np.array(along_y + along_x)
 
 
-def _north(state: State, x0: float, x1: float, y0: float, y1: float, z: float, cell: float) -> Scene:
+def _north(state: State, x0: float, x1: float, y0: float, y1: float, z: float, cell: float, vectors: float) -> Scene:
     ink = theme.foreground(state.view.dark)
     x, tip, head = x1 + 0.6 * cell, y1, 0.25 * cell
     foot = tip - 1.6 * cell
@@ -72,19 +72,24 @@ def _north(state: State, x0: float, x1: float, y0: float, y1: float, z: float, c
     found: Scene = {"/ground/north": Segments(arrow, ink, 2.5), "/ground/scale": Segments(bar, ink, 2.5)}
     if state.view.labels:
         found["/ground/north_label"] = Label("N", np.array([x, tip + 0.35 * cell, z]), 1.3)
-        found["/ground/scale_label"] = Label(scales(state, cell), np.array([x0 + 1.15 * cell, y, z]))
+        found["/ground/scale_label"] = Label(scales(state, cell, vectors), np.array([x0 + 1.15 * cell, y, z]))
     return found
 
 
-def scales(state: State, cell: float) -> str:
+def scales(state: State, cell: float, vectors: float) -> str:
     """The scale bar in words, with every exaggeration that is drawn."""
     view = state.view
     words = [f"{cell:g} m"]
     if view.residuals:
-        words.append(f"residuals × {view.vectors:g}")
+        words.append(f"residuals × {vectors:g}")
     if view.ellipsoids:
         words.append(f"95 % ellipsoids × {view.ellipsoid:g}")
     return ", ".join(words)
+
+
+def lowered(state: State) -> float:
+    """How much lower (m) the terrain is drawn, so that symbols and residuals on its slopes stay visible."""
+    return 0.5 * symbol_size(state)
 
 
 def symbol_size(state: State) -> float:
@@ -92,11 +97,10 @@ def symbol_size(state: State) -> float:
     xyz = state.assets.frame.to_local(state.block.points.xyz)
     xyz = xyz[np.isfinite(xyz).all(axis=1)]
     low, high = site(state)
-    size = 0.013 * float((high - low)[:2].max())
-    if 2 <= len(xyz) <= 2000:
-        from scipy.spatial import cKDTree
-
-        nearest = np.asarray(cKDTree(xyz).query(xyz, k=2)[0])[:, 1]
+    size = 0.016 * float((high - low)[:2].max())
+    if 2 <= len(xyz) <= 400:
+        apart = np.linalg.norm(xyz[:, None] - xyz[None], axis=-1) + np.diag(np.full(len(xyz), np.inf))
+        nearest = apart.min(axis=1)
         size = min(size, max(0.35 * float(np.median(nearest)), 0.2 * size))
     return size
 
@@ -122,7 +126,7 @@ def points(state: State) -> Scene:
     if state.view.labels:
         for j in np.flatnonzero(known & (role != "tie")):
             name = block.points.names[j]
-            found[f"/points/{name.replace('/', '_')}/label"] = Label(name, xyz[j] + [size, size, 0], 0.8)
+            found[f"/points/names/{name.replace('/', '_')}"] = Label(name, xyz[j] + [size, size, 0], 0.8)
     return found
 
 

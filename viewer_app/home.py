@@ -18,5 +18,6 @@ def home(state: State) -> tuple[np.ndarray, np.ndarray, float]:
     low, high = corners.min(axis=0), corners.max(axis=0)
     middle, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)
     way = np.array([0.5, -1.0, 0.5])
-    # the panels cover the left lower corner: look a little below and left of the middle
-    return middle + 2.8 * radius * way / np.linalg.norm(way), middle + radius * np.array([-0.08, 0.0, -0.12]), 40 * radius
+    # the panels cover the lower left corner: what is seen moves up and right where one looks at a place left below the middle
+    aim = middle + radius * np.array([-0.33, -0.15, -0.18])
+    return aim + 2.75 * radius * way / np.linalg.norm(way), aim, 40 * radius

@@ -56,7 +56,7 @@ def bring(state: State) -> Iterator[Brought | Say]:
     file = state.block.surface.get("file")
     if file:
         try:
-            yield Brought(terrain(folder / str(file), state.assets.frame))
+            yield Brought(terrain(folder / str(file), state.assets.frame, state.block.points.xyz))
         except PhotogrammetryError as error:
             yield Say(str(error))
     order = sorted(state.block.images, key=lambda image: image.name != state.image)
@@ -92,11 +92,11 @@ def crop(photo: Photo, format_size: tuple[int, int], col: float, row: float, hal
     return photo_window(photo.path, left, top, 2 * half + 1, 2 * half + 1), x - left, y - top
 
 
-def terrain(path: Path, frame: LocalFrame) -> Terrain:
-    """The DEM as a mesh in calm colours: shaded from the north-west, tinted by height. Raises Unsupported, BadProject."""
+def terrain(path: Path, frame: LocalFrame, site: np.ndarray) -> Terrain:
+    """The DEM around the points `site` (n, 3) of the map as a mesh in calm colours. Raises Unsupported, BadProject."""
     from solvers.io.heights import read_heights
 
-    x, y, z = read_heights(path, TERRAIN_CELLS)
+    x, y, z = _around(*read_heights(path, 4 * TERRAIN_CELLS), site)
     gx, gy = np.meshgrid(x, y)
     known = np.isfinite(z)
     flat = np.stack([gx, gy, np.where(known, z, 0.0)], axis=-1)
@@ -113,6 +113,19 @@ def terrain(path: Path, frame: LocalFrame) -> Terrain:
     return Terrain(vertices[used], place[faces], _tint(x, y, z).reshape(-1, 3)[used])
 
 
+def _around(x: np.ndarray, y: np.ndarray, z: np.ndarray, site: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The part of a grid around the known points, with half their spread of room, at most TERRAIN_CELLS to a side."""
+    known = site[np.isfinite(site).all(axis=1), :2]
+    if len(known) >= 2:
+        low, high = known.min(axis=0), known.max(axis=0)
+        room = 0.5 * float((high - low).max())
+        cols, rows = ((v >= a - room) & (v <= b + room) for v, a, b in zip((x, y), low, high, strict=True))
+        if cols.sum() >= 2 and rows.sum() >= 2:
+            x, y, z = x[cols], y[rows], z[np.ix_(rows, cols)]
+    step = -(-max(z.shape) // TERRAIN_CELLS)
+    return x[::step], y[::step], z[::step, ::step]
+
+
 def _tint(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
     z = np.where(np.isfinite(z), z, np.nanmean(z))
     dy, dx = np.gradient(z, y, x)
@@ -120,8 +133,8 @@ def _tint(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
     normal = np.stack([-dx, -dy, np.ones_like(z)], axis=-1)
     shade = np.clip((normal @ light) / np.linalg.norm(normal, axis=-1), 0.0, 1.0)[..., None]
     t = ((z - z.min()) / max(float(np.ptp(z)), 1e-9))[..., None]
-    low, high = np.array([168.0, 184.0, 160.0]), np.array([222.0, 210.0, 184.0])
-    return np.clip((low + t * (high - low)) * (0.55 + 0.55 * shade), 0, 255).astype(np.uint8)
+    low, high = np.array([150.0, 170.0, 140.0]), np.array([206.0, 194.0, 164.0])
+    return np.clip((low + t * (high - low)) * (0.45 + 0.6 * shade), 0, 255).astype(np.uint8)
 
 
 def _level(surface: Any, frame: LocalFrame) -> float | None:

@@ -14,7 +14,7 @@ import viser.transforms as tf
 from solvers import Exterior
 from solvers.geometry import to_opencv
 
-from .values import Ellipsoid, Frustum, Label, Mesh, Plane, PointCloud, Scene, Segments, Value
+from .values import Ellipsoid, Frustum, Label, Mesh, Plane, PointCloud, Scene, Segments, Value, linear
 
 
 class Painter:
@@ -146,8 +146,8 @@ def _change_plane(nodes: list[Any], old: Plane, new: Plane) -> bool:
 def _add_mesh(scene: viser.SceneApi, path: str, value: Mesh) -> list[Any]:
     import trimesh
 
-    mesh = trimesh.Trimesh(value.vertices.astype(np.float32), value.faces, vertex_colors=value.colours, process=False)
-    return [scene.add_mesh_trimesh(path, mesh, cast_shadow=False, receive_shadow=False)]
+    mesh = trimesh.Trimesh(value.vertices.astype(np.float32), value.faces, vertex_colors=linear(value.colours), process=False)
+    return [scene.add_mesh_trimesh(path, mesh, position=(0.0, 0.0, -value.lower), cast_shadow=False, receive_shadow=False)]
 
 
 def _add_label(scene: viser.SceneApi, path: str, value: Label) -> list[Any]:

@@ -8,9 +8,10 @@ import numpy as np
 
 from solvers import Exterior, Interior
 from solvers.cameras import ideal_photo
+from solvers.orientation import Orientation
 
 from . import theme
-from .ground import ground, nice, points
+from .ground import ground, nice, points, site
 from .state import MODELS, State
 from .values import Ellipsoid, Frustum, Label, Plane, Scene, Segments
 
@@ -50,7 +51,7 @@ class Sight:
 
 def scene(state: State) -> Scene:
     """All that is to be seen."""
-    found: Scene = {**ground(state), **points(state)}
+    found: Scene = {**ground(state, vector_scale(state)), **points(state)}
     depth = frustum_depth(state)
     for image in state.block.images:
         found |= _image(state, image.name, depth)
@@ -81,6 +82,15 @@ def sight(state: State, model: str, image: str | None = None) -> Sight | None:
     return Sight(exterior, interior, names, xyz, block.observations.pixel[rows], projected, used)
 
 
+def vector_scale(state: State) -> float:
+    """The exaggeration of residual vectors that is drawn: the one asked for, less while they would leave the site (early rows)."""
+    seen = next((s for m in MODELS if getattr(state.view, m) and (s := sight(state, m)) is not None), None)
+    longest = 0.0 if seen is None or not len(seen.xyz) else float(np.linalg.norm(np.nan_to_num(seen.vectors), axis=1).max())
+    low, high = site(state)
+    room = 0.3 * float((high - low)[:2].max())
+    return state.view.vectors if longest * state.view.vectors <= room else max(nice(room / longest), min(1.0, state.view.vectors))
+
+
 def frustum_depth(state: State) -> float:
     """Depth (m) at which image planes are drawn: a twelfth of the way to the ground, at least a tenth of the site."""
     xyz = _known(state)
@@ -88,6 +98,12 @@ def frustum_depth(state: State) -> float:
     centres = [e.centre for i in state.block.images if (e := _any(state, i.name))]
     far = float(np.median([np.linalg.norm(c - xyz.mean(axis=0)) for c in centres])) if centres and len(xyz) else 0.0
     return nice(max(0.07 * site, 0.08 * far, 1e-3))
+
+
+def ellipsoid_scale(state: State, orientation: Orientation) -> float:
+    """The exaggeration that makes an error ellipsoid about as large as a frustum."""
+    largest = CHI_95 * float(np.sqrt(max(np.linalg.eigvalsh(orientation.covariance[:3, :3])[-1], 0.0)))
+    return float(np.clip(nice(0.8 * frustum_depth(state) / largest), 1.0, 1000.0)) if largest > 0 else 1.0
 
 
 def _known(state: State) -> np.ndarray:
@@ -163,7 +179,7 @@ def _chosen(state: State, model: str, path: str) -> Scene:
     if model == "orthogonal" and view.bundle:
         found |= _bundle(state, seen, path)
     if view.residuals and (model == "perspective" or not view.perspective):
-        ends = seen.xyz + view.vectors * vectors
+        ends = seen.xyz + vector_scale(state) * vectors
         found[f"{path}/residuals"] = Segments(np.stack([seen.xyz, ends], axis=1), theme.RESIDUAL, 3.0)
     return found
 

@@ -117,7 +117,7 @@ class View:
     ellipsoids: bool = True
     vectors: float = 200.0  # exaggeration of residual vectors on the ground
     photo_vectors: float = 50.0  # the same on the photo
-    ellipsoid: float = 100.0  # exaggeration of the error ellipsoids
+    ellipsoid: float = 0.0  # exaggeration of the error ellipsoids, 0 until the first solution tells what suits
 
 
 @dataclass(frozen=True)

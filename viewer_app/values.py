@@ -64,11 +64,12 @@ class Plane:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles with a colour (uint8, 3) per vertex."""
+    """Triangles with a colour (uint8, 3) per vertex, drawn lower by so many metres."""
 
     vertices: np.ndarray
     faces: np.ndarray
     colours: np.ndarray
+    lower: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +79,12 @@ class Label:
     text: str
     position: np.ndarray
     size: float = 1.0
+
+
+def linear(colours: np.ndarray) -> np.ndarray:
+    """uint8 linear light of sRGB colours: glTF and three.js take colours of vertices as linear."""
+    c = np.asarray(colours, float) / 255
+    return np.round(255 * np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)).astype(np.uint8)
 
 
 Value = Frustum | Segments | PointCloud | Ellipsoid | Plane | Mesh | Label

@@ -54,7 +54,7 @@ def make_state(photo: Path | None = None) -> State:
 
         pixels = np.asarray(Picture.open(photo))
         photos = {"left": Photo(photo, pixels[::3, ::3], pixels, (pixels.shape[1], pixels.shape[0]))}
-    return first_state(State(Work(block), Assets(None, frame, photos, terrain, truth=local), "left"))
+    return replace(first_state(State(Work(block), Assets(None, frame, photos, terrain, truth=local), "left")), image="left")
 
 
 def flat(state: State) -> State:

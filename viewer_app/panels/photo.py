@@ -10,6 +10,7 @@ import viser
 
 from ..actions import Place, Show, Unmark
 from ..bridge import Wire
+from ..ground import nice
 from ..scene import Sight, sight
 from ..state import MODELS, Photo, State
 from ..theme import CHECK, CONTROL, INITIAL, RESIDUAL
@@ -58,7 +59,8 @@ def photo_html(state: State, wire: Wire) -> str:
     camera, has = state.block.camera_of(state.image), state.image in state.assets.photos
     seen = next((s for m in MODELS if (s := sight(state, m)) is not None), None)
     unit = camera.width / 420
-    shapes = _observations(state, unit) + ("" if seen is None else _residuals(state, seen, unit))
+    scale = 0.0 if seen is None else _scale(state, seen)
+    shapes = _observations(state, unit) + ("" if seen is None else _residuals(seen, scale, unit))
     if state.mark is not None:
         x, y, r = state.mark.col + 0.5, state.mark.row + 0.5, 9 * unit
         shapes += (f'<path d="M{x - r} {y}h{2 * r}M{x} {y - r}v{2 * r}" stroke="#fff" stroke-width="{2.4 * unit}"/>'
@@ -69,7 +71,7 @@ def photo_html(state: State, wire: Wire) -> str:
     missing = "" if has else f"<div {MUTED}>No photo: measurements only.</div>"
     return (f'<div {BOX}><div>{esc(state.image)} <span {MUTED}>{camera.width} × {camera.height} px ·</span> {target}</div>{missing}'
             f'<svg role="img" aria-label="Photo {esc(state.image)}" viewBox="0 0 {camera.width} {camera.height}" {surface}>{shapes}</svg>'
-            f"<div {MUTED}>circle: observed · {swatch(RESIDUAL)}residual × {state.view.photo_vectors:g}</div></div>")
+            f"<div {MUTED}>circle: observed · {swatch(RESIDUAL)}residual × {scale:g}</div></div>")
 
 
 def _observations(state: State, unit: float) -> str:
@@ -84,9 +86,16 @@ def _observations(state: State, unit: float) -> str:
     return "".join(shapes)
 
 
-def _residuals(state: State, seen: Sight, unit: float) -> str:
+def _scale(state: State, seen: Sight) -> float:
+    """The exaggeration drawn: the one asked for, less while vectors would be longer than a fifth of the photo."""
+    longest = float(np.linalg.norm(np.nan_to_num(seen.residuals), axis=1).max(initial=0.0))
+    room, wish = seen.interior.width / 5, state.view.photo_vectors
+    return wish if longest * wish <= room else min(wish, max(nice(room / longest), 1.0))
+
+
+def _residuals(seen: Sight, scale: float, unit: float) -> str:
     shapes = []
-    for (col, row), (dx, dy) in zip(seen.projected, seen.residuals * state.view.photo_vectors, strict=True):
+    for (col, row), (dx, dy) in zip(seen.projected, seen.residuals * scale, strict=True):
         if np.isfinite([col, row, dx, dy]).all():
             shapes.append(f'<line x1="{col + 0.5:.2f}" y1="{row + 0.5:.2f}" x2="{col + 0.5 + dx:.2f}" y2="{row + 0.5 + dy:.2f}" '
                           f'stroke="{css(RESIDUAL)}" stroke-width="{1.4 * unit:.2f}"/>')

@@ -12,7 +12,7 @@ from ..bridge import Wire
 from ..state import MODELS, State
 from .widgets import BOX, MUTED, Emit, Html, bind, esc, prop, put, swatch, table
 
-SHOWN = (("terrain", "Terrain", "The ground: the project's DEM, or a plane at the mean height of the GCPs."),
+SHOWN = (("terrain", "Terrain", "The project's DEM, drawn half a symbol lower so that symbols stay visible, or a plane at the mean height of the GCPs."),
          ("labels", "Names", "Names of points and images."),
          ("photos", "Photos", "The photos in the image planes of the perspective solutions."),
          ("perspective", "Perspective", "Perspective solutions."), ("orthogonal", "Orthogonal", "Orthogonal solutions."),
@@ -32,7 +32,7 @@ class ProjectPanel:
         self._wire = wire
         self._text = Html(gui)
         for label, (hint, way) in ways.items():
-            button = gui.add_button(label, hint=hint)
+            button = gui.add_button(label, hint=hint, color=None if label == "Open in rerun" else "gray")
             button.on_click(lambda event, way=way: way(event.client))
             gui.add_command(label).on_trigger(lambda event, way=way: way(event.client))  # type: ignore[attr-defined]
         self._dark = gui.add_checkbox("Dark", False, hint="Dark or light colours, for every browser of this viewer.")
@@ -58,7 +58,7 @@ class ScenePanel:
     def draw(self, state: State) -> None:
         for handle, value in ((self._vectors, state.view.vectors), (self._ellipsoid, state.view.ellipsoid)):
             prop(handle, "max", max(1000.0, value))
-            put(handle, value)
+            put(handle, max(value, 1.0))
         for name, handle in self._shown.items():
             put(handle, getattr(state.view, name))
 

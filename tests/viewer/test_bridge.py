@@ -1,0 +1,120 @@
+"""Who may connect, and what a wire believes."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from http import HTTPStatus
+
+import numpy as np
+import pytest
+import viser
+import websockets
+from conftest import make_state  # type: ignore[import-not-found]
+from websockets.asyncio.client import connect
+
+from solvers import Unsupported
+from viewer_app.app import App
+from viewer_app.bridge import LOCAL_HOSTS, Server, known_version, open_server, parse, refuse
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[viser.ViserServer]:
+    made = open_server(token="secret")
+    yield made
+    made.stop()
+
+
+@pytest.fixture(scope="module")
+def plain() -> Iterator[viser.ViserServer]:
+    made = open_server()
+    yield made
+    made.stop()
+
+
+def get(port: int, path: str = "/", **headers: str) -> int:
+    request = urllib.request.Request(f"http://127.0.0.1:{port}{path}", headers=headers)
+    try:
+        with urllib.request.urlopen(request) as answer:
+            return answer.status
+    except urllib.error.HTTPError as error:
+        return error.code
+
+
+def socket(port: int, origin: str | None, cookie: str = "") -> int:
+    """HTTP status with which a websocket is answered; 101 where it opens."""
+    async def ask() -> int:
+        try:
+            protocol = websockets.Subprotocol("viser-v" + viser.__version__)
+            async with connect(f"ws://127.0.0.1:{port}/", origin=None if origin is None else websockets.Origin(origin), subprotocols=[protocol],
+                               additional_headers={"Cookie": cookie} if cookie else {}, max_size=None) as ws:
+                await asyncio.wait_for(ws.recv(), 10)
+                return 101
+        except websockets.exceptions.InvalidStatus as error:
+            return error.response.status_code
+    return asyncio.run(ask())
+
+
+def test_viser_is_the_version_the_bridge_was_written_for() -> None:
+    assert known_version()
+
+
+def test_a_foreign_host_or_origin_is_refused(plain: viser.ViserServer) -> None:
+    port = plain.get_port()
+    assert get(port) == 200
+    assert get(port, Host="evil.example") == get(port, Host=f"evil.example:{port}") == 421
+    assert get(port, Origin="https://evil.example") == 403
+    assert socket(port, f"http://127.0.0.1:{port}") == 101 and socket(port, None) == 101
+    assert socket(port, "https://evil.example") == 403 and socket(port, "null") == 403
+
+
+def test_a_token_is_asked_for_once_and_kept_as_a_cookie(server: viser.ViserServer) -> None:
+    port = server.get_port()
+    assert get(port) == 403 and get(port, "/?token=wrong") == 403 and get(port, "/?token=secret") == 200
+    assert get(port, Cookie="collinea=secret") == 200 and get(port, Cookie="collinea=sécret".encode().decode("latin-1")) == 403
+    origin = f"http://127.0.0.1:{port}"
+    assert socket(port, origin) == 403 and socket(port, origin, "collinea=secret") == 101
+    assert socket(port, "https://evil.example", "collinea=secret") == 403
+
+
+def test_requests_without_a_host_are_refused() -> None:
+    assert refuse({}, "/", None, LOCAL_HOSTS) == (HTTPStatus.MISDIRECTED_REQUEST, "wrong host")
+    assert refuse({"host": "localhost:1"}, "/", None, LOCAL_HOSTS) is None
+
+
+def test_other_machines_are_let_in_with_a_token_only() -> None:
+    with pytest.raises(Unsupported, match="give a token"):
+        App(make_state(), host="0.0.0.0")
+
+
+def test_no_tunnel_is_opened_whoever_asks(plain: viser.ViserServer) -> None:
+    assert isinstance(plain, Server) and plain.request_share_url() is None
+
+
+@pytest.mark.parametrize(("text", "said"), [
+    (json.dumps(["point", "G01", "1"]), ("point", "G01")), (json.dumps(["photo", [0.25, 1], "1"]), ("photo", (0.25, 1.0))),
+    ("", None), ("{}", None), ("[1,2,3]", None), (json.dumps(["photo", [0.5, 2.0], "1"]), None), (json.dumps(["photo", [True, False], "1"]), None),
+    (json.dumps(["photo", ["a", 1], "1"]), None), ('["photo",[NaN,0.5],"1"]', None), (json.dumps(["point", "x" * 5000, "1"]), None),
+    ("[" * 1900, None)])
+def test_a_wire_believes_only_what_it_knows(text: str, said: object) -> None:
+    assert parse(text) == said
+
+
+def test_ten_thousand_mutated_messages_leave_the_state_valid() -> None:
+    rng = np.random.default_rng(11)
+    seeds = [json.dumps(["point", "G01", "1"]), json.dumps(["photo", [0.25, 0.5], "1"]), json.dumps(["row", "3", "1"]),
+             json.dumps(["nudge", "left", "1"]), json.dumps(["magnifier", [0.5, 0.5], "1"]), json.dumps(["image", "right", "1"])]
+    with App(make_state()) as app:
+        for _ in range(10_000):
+            letters = list(seeds[rng.integers(len(seeds))])
+            for _ in range(rng.integers(1, 4)):
+                letters[rng.integers(len(letters))] = chr(rng.integers(32, 1000))
+            if (said := parse("".join(letters))) is not None:
+                app._heard(*said)
+        app._actions.join()
+        state = app.state
+        assert app._loop.is_alive() and state.work.off <= set(state.block.points.names)
+        assert state.image in ("left", "right") and 0 <= state.row <= state.last_row

@@ -1,0 +1,407 @@
+"""The viewer in a real browser, on the demo project: one server and one browser for all tests, waiting on state, never on time."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from solvers.cameras import project
+from tests.browser import ViserPage, require_chromium, viser_page
+from viewer_app import theme
+from viewer_app.actions import ChooseImage, ChoosePoint, Show, Step, UsePoints
+from viewer_app.app import App
+from viewer_app.paint_viser import frustum_pose
+from viewer_app.scene import scene
+from viewer_app.values import Segments
+
+pytestmark = [pytest.mark.browser, pytest.mark.timeout(400)]
+DEMO = Path(__file__).resolve().parents[2] / "assets" / "demo"
+Session = tuple[App, ViserPage]
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
+    require_chromium()
+    folder = tmp_path_factory.mktemp("viewer") / "demo"
+    shutil.copytree(DEMO, folder, ignore=shutil.ignore_patterns("runs"))
+    with App(folder) as app, viser_page(app.port, size=(1000, 560)) as v:
+        v.page.set_default_timeout(60_000)
+        settle(app, v)
+        v.dismiss_notifications()
+        yield app, v
+
+
+@pytest.fixture(autouse=True)
+def nothing_goes_wrong(session: Session) -> Iterator[None]:
+    yield
+    app, v = session
+    settle(app, v)
+    assert v.log.errors == [] and v.log.external == []
+
+
+def settle(app: App, v: ViserPage) -> None:
+    v.wait_until(app.settled, "the viewer to settle", 200)
+
+
+def camera_path(app: App, model: str = "perspective", image: str | None = None) -> str:
+    return f"/images/{image or app.state.image}/{model}/camera"
+
+
+def has_pose(app: App, v: ViserPage, path: str) -> bool:
+    """Whether the browser shows a frustum where the state has it."""
+    _, _, image, model, _ = path.split("/")
+    exterior, shown = app.state.exterior(model, image), v.pose(path)
+    if exterior is None or shown is None:
+        return False
+    wxyz, position = frustum_pose(exterior)
+    return bool(np.allclose(shown["position"], position, atol=1e-3) and abs(abs(np.dot(shown["wxyz"], wxyz)) - 1) < 1e-6)
+
+
+def test_the_demo_opens(session: Session) -> None:
+    app, v = session
+    state = app.state
+    v.wait_nodes("/ground/terrain", "/points/control", "/images/" + state.image + "/orthogonal/plane",
+                 *(camera_path(app, m, i.name) for m in ("perspective", "orthogonal") for i in state.block.images))
+    v.page.get_by_role("table", name="Orientation").wait_for()
+    assert v.page.get_by_text(f"{len(state.control())} control points on").is_visible()
+    assert all(s.orientation is None or s.orientation.trace.converged for s in state.work.solutions.values())
+
+
+# -- the honest picture
+
+
+def expected_pixels(app: App, v: ViserPage) -> np.ndarray:
+    """(n, 2) canvas pixels of the control points by our own projection: the browser's camera as it reports itself, no three.js."""
+    camera = next(iter(app.server.get_clients().values())).camera
+    w, x, y, z = camera.wxyz
+    axes = np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                     [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                     [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]])
+    points = app.state.block.points
+    xyz = app.state.assets.frame.to_local(points.xyz[np.array(points.role) == "control"])
+    seen = (xyz - camera.position) @ axes  # x right, y down, z forward
+    focal = camera.image_height / 2 / np.tan(camera.fov / 2)
+    return seen[:, :2] / seen[:, 2:] * focal + np.array([camera.image_width, camera.image_height]) / 2
+
+
+def measured_points(app: App, v: ViserPage) -> tuple[np.ndarray, np.ndarray]:
+    """Distances (k,) px from where points should be to where their symbols are drawn, and their largest error of colour (k,)."""
+    expected = expected_pixels(app, v)
+    picture = np.asarray(v.wait_still(tolerance=0.05, timeout=120), float)
+    apart = np.linalg.norm(expected[:, None] - expected[None], axis=-1) + np.diag(np.full(len(expected), np.inf))
+    rows, cols = np.mgrid[:picture.shape[0], :picture.shape[1]]
+    distances, colours = [], []
+    for (x, y), nearest in zip(expected, apart.min(axis=1), strict=True):
+        around = np.hypot(cols + 0.5 - x, rows + 0.5 - y) < min(nearest / 2, 18)
+        error = np.abs(picture[..., :3] - np.array(theme.CONTROL)).max(axis=-1)
+        drawn = around & (picture[..., 3] > 250) & (error < 40)
+        if nearest < 12 or not around.any():
+            continue
+        distances.append(np.hypot(cols[drawn].mean() + 0.5 - x, rows[drawn].mean() + 0.5 - y) if drawn.sum() > 8 else np.inf)
+        colours.append(error[around & (picture[..., 3] > 250)].min(initial=np.inf))
+    return np.array(distances), np.array(colours)
+
+
+@pytest.fixture
+def points_only(session: Session) -> Iterator[Session]:
+    app, v = session
+    names = ("terrain", "labels", "rays", "bundle", "residuals", "ellipsoids", "perspective", "orthogonal", "truth", "initial")
+    for name in names:
+        app.emit(Show(name, False))
+    settle(app, v)
+    yield app, v
+    for name in names:
+        app.emit(Show(name, True))
+
+
+def test_points_appear_where_projection_says_and_in_their_colour(points_only: Session) -> None:
+    app, v = points_only
+    distances, colours = measured_points(app, v)
+    assert len(distances) >= 3 and np.linalg.matrix_rank(expected_pixels(app, v) - expected_pixels(app, v).mean(axis=0), tol=5.0) == 2
+    assert distances.max() < 3.0 and colours.max() <= 3.0
+
+
+def test_that_measurement_fails_when_the_y_axis_is_flipped(points_only: Session) -> None:
+    app, v = points_only
+    honest = scene(app.state)
+    symbols = honest["/points/control"]
+    assert isinstance(symbols, Segments)
+    flipped = replace(symbols, points=symbols.points * np.array([1.0, -1.0, 1.0]))
+    app._painter.paint({**honest, "/points/control": flipped})
+    try:
+        distances, _ = measured_points(app, v)
+        assert not (distances < 3.0).all() and np.median(distances) > 3.0
+    finally:
+        app._painter.paint(honest)
+
+
+def test_frustums_stand_where_the_solution_is(session: Session) -> None:
+    app, v = session
+    for model in ("perspective", "orthogonal"):
+        v.wait_until(lambda model=model: has_pose(app, v, camera_path(app, model)), f"the {model} frustum")
+
+
+# -- stepping
+
+
+def test_stepping_changes_the_frustum(session: Session) -> None:
+    app, v = session
+    path = camera_path(app)
+    before = v.pose(path)
+    v.click_button("|◀")
+    v.wait_until(lambda: app.state.row == 0 and has_pose(app, v, path), "row 0")
+    after = v.pose(path)
+    assert before and after and np.linalg.norm(np.subtract(before["position"], after["position"])) > 1e-3
+    v.click_button("▶")
+    v.wait_until(lambda: app.state.row == 1 and has_pose(app, v, path), "row 1")
+    v.click_button("▶|")
+    v.wait_until(lambda: app.state.row == app.state.last_row and has_pose(app, v, path), "the last row")
+
+
+def test_keys_step_too(session: Session) -> None:
+    app, v = session
+    v.hotkey("Home")
+    v.wait_until(lambda: app.state.row == 0, "Home")
+    v.hotkey("ArrowRight")
+    v.wait_until(lambda: app.state.row == 1, "the right arrow")
+    v.hotkey("ArrowLeft")
+    v.wait_until(lambda: app.state.row == 0, "the left arrow")
+    v.hotkey("Space")
+    v.wait_until(lambda: app.state.row > 0, "play", 20)
+    v.hotkey("End")
+    v.wait_until(lambda: app.state.row == app.state.last_row and not app.state.playing, "End")
+
+
+def test_the_slider_and_the_plots_choose_a_row(session: Session) -> None:
+    app, v = session
+    v.set_slider("Iteration", 2)
+    v.wait_until(lambda: app.state.row == 2, "row 2")
+    mark = v.page.locator("svg[aria-label^='σ0'] line[data-now]")
+    v.wait_until(lambda: mark.get_attribute("data-now") == "2", "the mark in the plot")
+    v.page.locator("svg[aria-label^='cost'] rect[data-value='1']").click()
+    v.wait_until(lambda: app.state.row == 1 and mark.get_attribute("data-now") == "1", "row 1")
+    app.emit(Step("last"))
+
+
+# -- choosing control
+
+
+def test_a_click_on_a_row_switches_the_point_and_solves_again(session: Session) -> None:
+    app, v = session
+    name = app.state.control()[2]
+    old, revision = app.state.solution("perspective"), app.state.work.revision
+    v.page.locator(f"tr[data-point='{name}']").click()
+    v.wait_until(lambda: name in app.state.work.off, "the point to be off")
+    settle(app, v)
+    new = app.state.solution("perspective")
+    assert old and new and new.orientation and new.revision > revision and name not in new.orientation.points
+    v.wait_until(lambda: has_pose(app, v, camera_path(app)), "the new frustum")
+    assert v.page.locator(f"tr[data-point='{name}']").inner_text().startswith("☐")
+    v.hotkey("Control+z")
+    v.wait_until(lambda: name not in app.state.work.off and app.state.solution("perspective") is old, "undo")
+
+
+def test_a_click_on_the_marker_switches_the_point_too(points_only: Session) -> None:
+    app, v = points_only
+    points = app.state.block.points
+    pixels = expected_pixels(app, v)
+    apart = np.linalg.norm(pixels[:, None] - pixels[None], axis=-1) + np.diag(np.full(len(pixels), np.inf))
+    names = [n for n, r in zip(points.names, points.role, strict=True) if r == "control"]
+    box = v.page.evaluate("() => { const b = window.__viserMutable.canvas.getBoundingClientRect(); return [b.left, b.top]; }")
+    free = [j for j in np.argsort(-apart.min(axis=1))
+            if v.page.evaluate("([x, y]) => document.elementFromPoint(x, y)?.tagName === 'CANVAS'", [box[0] + pixels[j, 0], box[1] + pixels[j, 1]])]
+    v.click_at(box[0] + pixels[free[0], 0], box[1] + pixels[free[0], 1])
+    v.wait_until(lambda: app.state.work.off == {names[free[0]]}, "the point to be off")
+    v.hotkey("Control+z")
+    v.wait_until(lambda: not app.state.work.off, "undo")
+
+
+def test_a_cluster_is_chosen_by_its_group(session: Session) -> None:
+    app, v = session
+    points = app.state.block.points
+    group = sorted(set(points.group) - {""})[0]
+    v.choose("GCPs used", group)
+    v.wait_until(lambda: 0 < len(app.state.control()) < points.role.count("control"), "the cluster")
+    settle(app, v)
+    solution = app.state.solution("perspective")
+    assert solution and (solution.orientation or solution.error)
+    v.choose("GCPs used", "all")
+    v.wait_until(lambda: not app.state.work.off, "all points")
+
+
+def test_too_few_points_are_a_sentence(session: Session) -> None:
+    app, v = session
+    points = app.state.block.points
+    for name in app.state.control()[2:]:
+        v.page.locator(f"tr[data-point='{name}']").evaluate("e => e.click()")
+    v.wait_until(lambda: len(app.state.control()) == 2, "two points")
+    v.page.get_by_text("No perspective solution.").wait_for()
+    app.emit(UsePoints(""))
+    v.wait_until(lambda: len(app.state.control()) == points.role.count("control"), "all points")
+
+
+def test_another_image_is_chosen(session: Session) -> None:
+    app, v = session
+    first, other = app.state.image, app.state.block.images[-1].name
+    v.choose("Image", other)
+    v.wait_until(lambda: app.state.image == other, "the other image")
+    v.wait_nodes(f"/images/{other}/perspective/rays")
+    app.emit(ChooseImage(first))
+    v.wait_until(lambda: app.state.image == first, "the first image")
+
+
+# -- two people
+
+
+def test_a_second_browser_sees_and_changes_the_same_state(session: Session) -> None:
+    app, v = session
+    app.emit(Step("first"))
+    page = v.page.context.new_page()
+    try:
+        page.goto(f"http://127.0.0.1:{app.port}/?fixedDpr=1")
+        second = ViserPage(page, v.log)
+        second.wait_connected()
+        v.wait_until(lambda: has_pose(app, second, camera_path(app)), "the frustum in the second browser", 60)
+        assert second.pose(camera_path(app)) == v.pose(camera_path(app))
+        second.click_button("▶|")
+        v.wait_until(lambda: app.state.row == app.state.last_row and has_pose(app, v, camera_path(app)), "the last row in the first browser")
+        same = [p.page.get_by_role("table", name="Orientation").inner_text() for p in (v, second)]
+        assert same[0] == same[1]
+    finally:
+        page.close()
+        v.page.bring_to_front()
+
+
+# -- measuring
+
+
+def test_a_point_is_measured_on_the_photo_to_half_a_pixel(session: Session) -> None:
+    app, v = session
+    state = app.state
+    name = state.control()[0]
+    j, i = state.block.point_index(name), state.block.image_index(state.image)
+    of = state.block.observations
+    target = of.pixel[(of.image == i) & (of.point == j)][0] + [7.0, -5.0]
+    app.emit(ChoosePoint(name))
+    v.open_tab("Photo")
+    camera = state.block.camera_of(state.image)
+    picture = v.page.get_by_role("img", name="Photo " + state.image)
+    picture.wait_for()
+    box = picture.bounding_box()
+    assert box
+    at = {"x": (target[0] + 0.5) / camera.width * box["width"], "y": (target[1] + 0.5) / camera.height * box["height"]}
+    picture.click(position=at)  # type: ignore[arg-type]
+    v.wait_until(lambda: app.state.mark is not None, "the mark")
+    magnifier = v.page.get_by_role("img", name="Magnifier")
+    magnifier.wait_for()
+    factor = camera.width / state.assets.photos[state.image].size[0]
+    for _ in range(3):  # the magnifier is centred anew on every click
+        mark, box = app.state.mark, magnifier.bounding_box()
+        assert mark and box
+        offset = (target - [mark.col, mark.row]) / factor / 49 * box["width"]
+        inner = magnifier.locator("circle").bounding_box()
+        assert inner
+        v.page.mouse.click(round(inner["x"] + inner["width"] / 2 + offset[0]), round(inner["y"] + inner["height"] / 2 + offset[1]))
+        v.wait_until(lambda mark=mark: app.state.mark != mark, "the mark to move") if np.abs(offset).max() > 1 else None
+    mark = app.state.mark
+    assert mark and np.abs(np.array([mark.col, mark.row]) - target).max() < 0.5 * factor
+    v.click_button("Place mark")
+    v.wait_until(lambda: app.state.mark is None and app.state.block is not state.block, "the observation")
+    now = app.state.block.observations
+    assert np.allclose(now.pixel[(now.image == i) & (now.point == j)][0], [mark.col, mark.row]) and len(now) == len(of)
+    v.hotkey("Control+z")
+    v.wait_until(lambda: app.state.block is state.block, "undo")
+    v.open_tab("Iterations")
+
+
+# -- ways out
+
+
+def test_the_scene_is_downloaded_as_glb(session: Session) -> None:
+    import trimesh
+
+    app, v = session
+    v.open_tab("Project")
+    v.click_button("Scene as GLB")
+    link = v.page.locator("a[download$='.glb']")
+    link.wait_for()
+    with v.page.expect_download() as download:
+        link.click()
+    loaded = trimesh.load(Path(download.value.path()), file_type="glb")
+    assert camera_path(app) in loaded.graph.nodes
+    v.dismiss_notifications()
+
+
+def test_saving_writes_what_was_edited(session: Session) -> None:
+    from solvers.io import read_project
+
+    app, v = session
+    v.open_tab("Project")
+    v.click_button("Save project")
+    v.wait_until(lambda: app.state.message.startswith("Saved in "), "the message")
+    assert app.state.assets.folder is not None
+    again = read_project(app.state.assets.folder)
+    assert np.array_equal(again.observations.pixel, app.state.block.observations.pixel)
+
+
+def test_dark_and_light(session: Session) -> None:
+    app, v = session
+    v.open_tab("Project")
+    scheme = "() => document.documentElement.getAttribute('data-mantine-color-scheme') ?? document.body.className"
+    light = v.page.evaluate(scheme)
+    v.set_checkbox("Dark", True)
+    v.wait_until(lambda: app.state.view.dark, "dark")
+    background = "() => getComputedStyle(document.body).backgroundColor"
+    v.page.wait_for_function("() => { const c = getComputedStyle(document.body).backgroundColor.match(/\\d+/g).map(Number);"
+                             " return c[0] + c[1] + c[2] < 300 || window.__viserMutable.canvas.parentElement"
+                             " && getComputedStyle(document.documentElement).colorScheme.includes('dark'); }")
+    assert v.page.evaluate(background) or light
+    v.set_checkbox("Dark", False)
+    v.wait_until(lambda: not app.state.view.dark, "light")
+
+
+def test_the_run_opens_in_rerun_beside_the_scene(session: Session) -> None:
+    app, v = session
+    v.open_tab("Project")
+    v.click_button("Open in rerun")
+    frame: Any = v.page.locator("iframe[title=rerun]")
+    frame.wait_for()
+    address = frame.get_attribute("src")
+    assert address.startswith(("http://127.0.0.1:", "http://localhost:"))
+    v.wait_until(lambda: any(f.url.startswith(address.split("?")[0]) for f in v.page.frames), "rerun's page", 60)
+    assert v.page.request.get(address).status == 200
+    v.open_tab("Close")
+    v.click_button("Close rerun")
+    frame.wait_for(state="detached")
+
+
+def test_a_damaged_message_of_a_page_does_no_harm(session: Session) -> None:
+    app, v = session
+    before = app.state.work
+    for text in ("", "[]", json.dumps(["point", "../../etc/passwd", "1"]), json.dumps(["row", "999999999", "1"])):
+        v.page.evaluate("([uuid, value]) => window.__viserMutable.sendMessage({type: 'GuiUpdateMessage', uuid, updates: {value}})",
+                        [app._wire._box._impl.uuid, text])
+    v.page.evaluate("([uuid, value]) => window.__viserMutable.sendMessage({type: 'GuiUpdateMessage', uuid, updates: {value}})",
+                    [app._wire._box._impl.uuid, json.dumps(["row", "0", "1"])])
+    v.wait_until(lambda: app.state.row == 0, "row 0")
+    assert app.state.work is before
+    app.emit(Step("last"))
+
+
+def test_projection_of_the_frustum_is_that_of_the_solver(session: Session) -> None:
+    """The drawn ray of each used point leads through its observed pixel."""
+    app, _ = session
+    rays = scene(app.state)[f"/images/{app.state.image}/perspective/rays"]
+    exterior = app.state.exterior("perspective")
+    assert isinstance(rays, Segments) and exterior is not None
+    block = app.state.block
+    pixels = project(block.camera_of(app.state.image), exterior, rays.points[:, 1])
+    rows = block.seen_in(app.state.image, ("control",))
+    assert np.allclose(pixels, block.observations.pixel[rows], atol=1e-5)
