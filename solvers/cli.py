@@ -43,7 +43,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # nothing more can be written there, not even at exit
         return _cannot("the output was closed before it was complete")
     except OSError as error:
-        return _cannot(f"{error.filename or 'input or output'}: {error.strerror or error}; check the path, its permissions and the space left")
+        return _cannot(f"{error.filename or 'input or output'}: {error.strerror or error}; check the path, its permissions and "
+                       "the space left")
     except MemoryError:
         return _cannot("the memory is not enough; close other programs or give fewer or smaller photos")
     except Exception as error:
@@ -63,9 +64,11 @@ def parser() -> Parser:
     init = _command(commands, "init", _init, "make a project from photos and a list of control points")
     init.add_argument("files", nargs="+", metavar="FILE", help="photos (or folders of photos) and one GCPS.csv or gcp_list.txt")
     init.add_argument("-o", "--output", required=True, metavar="PROJECT", help="folder of the new project")
-    init.add_argument("--map", metavar="MAP", help="columns of the list by name or number: name=ID,X=East,Y=North,Z=H[,image=..,col=..,row=..]")
+    init.add_argument("--map", metavar="MAP",
+                      help="columns of the list by name or number: name=ID,X=East,Y=North,Z=H[,image=..,col=..,row=..]")
     init.add_argument("--crs", help="coordinate system of the project: EPSG:CODE or local")
-    init.add_argument("--pixel-origin", choices=("center", "corner"), help="what pixel (0, 0) of the list is, of the top-left pixel")
+    init.add_argument("--pixel-origin", choices=("center", "corner"),
+                      help="what pixel (0, 0) of the list is, of the top-left pixel")
     init.add_argument("--pixel-um", type=_positive, metavar="P", help="pixel size in micrometres, where EXIF does not tell it")
     init.add_argument("--c-mm", type=_positive, metavar="C", help="principal distance in mm, where EXIF does not tell it")
 
@@ -79,17 +82,21 @@ def parser() -> Parser:
     resect.add_argument("--model", choices=("perspective", "orthogonal", "both"), default="both")
     resect.add_argument("--points", type=_names, metavar="A,B,C", help="only these control points (default: all of the image)")
     resect.add_argument("--robust", action="store_true", help="find and leave out blunders")
-    resect.add_argument("--prior", choices=("none", "initial", "weighted"), default="none", help="use of the images' priors (default: none)")
+    resect.add_argument("--prior", choices=("none", "initial", "weighted"), default="none",
+                        help="use of the images' priors (default: none)")
     resect.add_argument("--one-pass", action="store_true", help="orthogonal: one pass from the prior as approximate orientation")
-    resect.add_argument("--form", choices=("depth", "printed"), default="depth", help="orthogonal: form of the exterior orientation (default: depth)")
+    resect.add_argument("--form", choices=("depth", "printed"), default="depth",
+                        help="orthogonal: form of the exterior orientation (default: depth)")
     resect.add_argument("--recentre", choices=("on", "off"), default="on", help="orthogonal: re-centred bundle (default: on)")
-    resect.add_argument("--free", type=_names, default=(), metavar="c,xp,yp,k1,...", help="perspective: interior parameters to adjust")
+    resect.add_argument("--free", type=_names, default=(), metavar="c,xp,yp,k1,...",
+                        help="perspective: interior parameters to adjust")
 
     simulate = _command(commands, "simulate", _simulate, "make a project with known truth")
     simulate.add_argument("kind", metavar="KIND", choices=("uav_cluster",), help="uav_cluster")
     simulate.add_argument("-o", "--output", required=True, metavar="FOLDER")
     simulate.add_argument("--seed", type=int, default=0, help="of the random numbers (default: 0)")
-    simulate.add_argument("--reduction", type=int, choices=range(1, 17), default=4, metavar="N", help="photos N times smaller (default: 4)")
+    simulate.add_argument("--reduction", type=int, choices=range(1, 17), default=4, metavar="N",
+                          help="photos N times smaller (default: 4)")
 
     log = _command(commands, "log", _log, "open the recording of a run in rerun's web viewer on 127.0.0.1")
     log.add_argument("project", metavar="PROJECT|RUN")
@@ -118,7 +125,8 @@ def _open_viewer(args: argparse.Namespace, folder: Path) -> int:
     from viewer_app.app import run
 
     _emit(args, {"project": str(folder), "host": args.host, "port": args.port}, "")
-    with contextlib.redirect_stdout(sys.stderr if args.json == "-" else sys.stdout):
+    out = sys.stderr if args.json == "-" else sys.stdout  # JSON stands alone on standard output
+    with contextlib.redirect_stdout(out), contextlib.suppress(KeyboardInterrupt):  # Ctrl+C is how a person ends it
         run(folder, host=args.host, port=args.port, open_browser=not args.no_browser, token=args.token)
     return 0
 
@@ -149,7 +157,8 @@ def _resect(args: argparse.Namespace) -> int:
     if not done.failed:
         return 0
     first, total = done.failed[0], len(done.failed) + len(done.orientations)
-    return _cannot(f"{len(done.failed)} of {total} orientations cannot be computed, the first by the {first.model} model: {first.why}")
+    return _cannot(f"{len(done.failed)} of {total} orientations cannot be computed, the first by the {first.model} model: "
+                   f"{first.why}")
 
 
 def _simulate(args: argparse.Namespace) -> int:
@@ -158,7 +167,8 @@ def _simulate(args: argparse.Namespace) -> int:
     block = simulate_project(args.kind, args.output, seed=args.seed, reduction=args.reduction)
     value = {"project": args.output, "kind": args.kind, "seed": args.seed, "images": [i.name for i in block.images],
              "points": len(block.points), "observations": len(block.observations)}
-    return _emit(args, value, f"{args.output}: {len(block.images)} images, {len(block.points)} points\nnext: {PROG} view {args.output}")
+    return _emit(args, value,
+                 f"{args.output}: {len(block.images)} images, {len(block.points)} points\nnext: {PROG} view {args.output}")
 
 
 def _log(args: argparse.Namespace) -> int:
@@ -168,7 +178,8 @@ def _log(args: argparse.Namespace) -> int:
 
     recording = recording_of(args.project)
     _emit(args, {"recording": str(recording)}, "")
-    open_log(recording, open_browser=not args.no_browser)
+    with contextlib.suppress(KeyboardInterrupt):  # Ctrl+C is how a person ends it
+        open_log(recording, open_browser=not args.no_browser)
     return 0
 
 

@@ -42,7 +42,7 @@ def image_text(orientations: list[Orientation], advice: Any = None) -> str:
     values, sigmas = [_elements(o) for o in orientations], [_sigmas(o) for o in orientations]
     for i, name in enumerate(ELEMENTS):
         digits = _digits(min(s[i] for s in sigmas))
-        cells = [f"{v[i]:.{digits}f}" if k == 0 else f"{s[i]:.{digits}f}" for v, s in zip(values, sigmas, strict=True) for k in (0, 1)]
+        cells = [f"{n[i]:.{digits}f}" for pair in zip(values, sigmas, strict=True) for n in pair]
         if len(orientations) == 2:
             gap = values[1][i] - values[0][i]
             cells.append(f"{(gap + 180) % 360 - 180 if i < 3 else gap:.{digits}f}")
@@ -76,7 +76,8 @@ def _advised(advice: Any) -> list[str]:
 
 def _notes(word: str, texts: list[str]) -> list[str]:
     width = max(60, shutil.get_terminal_size((100, 24)).columns)
-    return [line for text in texts for line in textwrap.wrap(f"{word}: {text}", width, subsequent_indent="  ", break_long_words=False)]
+    wrapper = textwrap.TextWrapper(width, subsequent_indent="  ", break_long_words=False)
+    return [line for text in texts for line in wrapper.wrap(f"{word}: {text}")]
 
 
 def _rendered(table: Any) -> str:

@@ -78,14 +78,16 @@ class Initialised(NamedTuple):
 
     def to_json(self) -> dict[str, Any]:
         block = self.block
-        return {"project": str(self.folder), "crs": block.crs, "cameras": list(block.cameras), "images": [i.name for i in block.images],
+        return {"project": str(self.folder), "crs": block.crs, "cameras": list(block.cameras),
+                "images": [i.name for i in block.images],
                 "points": len(block.points), "observations": len(block.observations), "notes": self.notes}
 
 
 # -- resect ---------------------------------------------------------------------------------------------------------------
 
 
-def resect_project(folder: Path | str, images: Sequence[str] = (), models: Sequence[str] = MODELS, recorder: Recorder | None = None,
+def resect_project(folder: Path | str, images: Sequence[str] = (), models: Sequence[str] = MODELS,
+                   recorder: Recorder | None = None,
                    **options: Any) -> Resected:
     """Orient images of a project one by one and leave a run: traces, result.json, recording.rrd.
 
@@ -113,7 +115,8 @@ def requests_of(block: Block, images: Sequence[str] = (), models: Sequence[str] 
     """One request per image and model; beside the perspective model, the orthogonal one leaves the interior orientation fixed."""
     seen = [i.name for n, i in enumerate(block.images) if (block.observations.image == n).any()]
     if not images and not seen:
-        raise BadProject(f"{block.name}: no point is observed in any image; add lines to observations.csv, or mark points in the viewer")
+        raise BadProject(f"{block.name}: no point is observed in any image; add lines to observations.csv, or mark points in the "
+                         "viewer")
     names = [block.images[block.image_index(name)].name for name in images] or seen
     fixed = {**options, "free": ()} if len(models) > 1 else options
     return [Request(name, model, **(fixed if model == "orthogonal" else options))  # type: ignore[arg-type]
@@ -126,7 +129,7 @@ def _orient_all(block: Block, requests: Sequence[Request]) -> tuple[list[Orienta
     errors: list[PhotogrammetryError] = []
     for request in requests:
         try:
-            orientations.append(orient(block, request))
+            orientations.append(_oriented(block, request))
         except PhotogrammetryError as error:
             errors.append(error)
             failed.append(Failure(request.image, request.model, str(error)))
@@ -135,12 +138,21 @@ def _orient_all(block: Block, requests: Sequence[Request]) -> tuple[list[Orienta
     return orientations, failed
 
 
+def _oriented(block: Block, request: Request) -> Orientation:
+    try:
+        return orient(block, request)
+    except np.linalg.LinAlgError as error:
+        raise DegenerateGeometry(
+            f"image '{request.image}': the numbers do not fit together ({error}); look for a control point, a pixel or a camera "
+            "value that is wrong by far, or try --robust") from None
+
+
 def _advise_all(block: Block, orientations: Sequence[Orientation], points: tuple[str, ...] | None) -> dict[str, Advice]:
     advice: dict[str, Advice] = {}
     for image in dict.fromkeys(o.image for o in orientations):
         try:
             advice[image] = advise(block, image, points)
-        except DegenerateGeometry:  # only its prior orients this image: there is nothing to choose from
+        except (DegenerateGeometry, np.linalg.LinAlgError):  # only its prior orients this image: there is nothing to choose from
             continue
     return advice
 
@@ -175,7 +187,8 @@ def init_project(files: Sequence[Path | str], folder: Path | str, *, mapping: st
     chosen, xyz, said = _choose_crs(control, exifs, project_crs, ask)
     origin, assumed = _choose_origin(control, pixel_origin, ask)
     names, priors = assemble.image_names(photos), assemble.priors_of(exifs, chosen)
-    images = tuple(Image(n, c, _written_path(p, folder), prior) for n, c, p, prior in zip(names, camera_of, photos, priors, strict=True))
+    paths = [_written_path(photo, folder) for photo in photos]
+    images = tuple(Image(*values) for values in zip(names, camera_of, paths, priors, strict=True))
     observations, left = assemble.measurements(control, images, photos, cameras, origin) if control else (_none(), ())
     all_notes = [*notes, *(control.notes if control else ()), *said, *assumed, *left, *_photo_notes(exifs, priors)]
     if ask is not None and control is not None:
@@ -193,12 +206,15 @@ def _choose_crs(control: ControlList | None, exifs: Sequence[Exif], given: str |
     if given and crs.is_geographic(given):
         raise BadProject(f"--crs {given}: a project needs coordinates in metres; give the UTM zone or the national grid")
     if control is None:
-        return given or zone or "local", np.empty((0, 3)), [] if given else [f"crs: {zone or 'local'} (from the photos' GPS)" if zone else "crs: local"]
+        source = "given" if given else "from the photos' GPS" if zone else "neither given nor in the photos"
+        chosen = given or zone or "local"
+        return chosen, np.empty((0, 3)), [f"crs: {chosen} ({source})"]
     source = control.crs and crs.short_crs(control.crs)
     if source and crs.is_geographic(source):
         known = control.xyz[np.isfinite(control.xyz).all(axis=1)]
         target = given or crs.utm_zone(float(np.median(known[:, 1])), float(np.median(known[:, 0])))
-        return target, crs.transformed(control.xyz, source, target), [f"crs: {target}, converted from degrees; heights are kept as they are"]
+        xyz = crs.transformed(control.xyz, source, target)
+        return target, xyz, [f"crs: {target}, converted from degrees; heights are kept as they are"]
     if source:
         target = given or source
         return target, crs.transformed(control.xyz, source, target), [f"crs: {target}"]
@@ -206,11 +222,13 @@ def _choose_crs(control: ControlList | None, exifs: Sequence[Exif], given: str |
         return given, control.xyz, [f"crs: {given}"]
     near = zone is not None and assemble.plausible(control.xyz, zone, exifs)
     if ask is not None:
-        answer = ask(f"Coordinate system of the control points, such as EPSG:32632, or local [{zone if near else 'local'}]: ").strip()
-        chosen = crs.short_crs(answer or (zone if near and zone else "local"))
+        proposed = zone if near and zone else "local"
+        answer = ask(f"Coordinate system of the control points, such as EPSG:32632, or local [{proposed}]: ").strip()
+        chosen = crs.short_crs(answer or proposed)
         return chosen, control.xyz, [f"crs: {chosen}"]
     if near and zone:
-        return zone, control.xyz, [f"crs: {zone} (assumed: the control lies near the photos' GPS in it; give --crs if it is another)"]
+        return zone, control.xyz, [f"crs: {zone} (assumed: the control lies near the photos' GPS in it; give --crs if it is "
+                                   "another)"]
     raise BadProject(f"{control.path}: it does not say its coordinate system; give it with --crs EPSG:CODE, or --crs local")
 
 
@@ -218,7 +236,8 @@ def _choose_origin(control: ControlList | None, given: str | None, ask: Ask | No
     if given or control is None or not control.marks:
         return given or "center", []
     if ask is not None:
-        answer = ask("Pixel (0, 0) of the measurements is the center of the top-left pixel, or its corner [center]: ").strip().lower()
+        answer = ask("Pixel (0, 0) of the measurements is the center of the top-left pixel, or its corner [center]: ")
+        answer = answer.strip().lower()
         if answer in ("", "center", "centre", "corner"):
             return "corner" if answer == "corner" else "center", []
         raise BadProject(f"pixel origin '{answer}' is not known; answer center or corner")
@@ -234,7 +253,9 @@ def _photo_notes(exifs: Sequence[Exif], priors: Sequence[object]) -> list[str]:
     count = sum(p is not None for p in priors)
     notes = [f"priors: GPS positions of {count} photos, their heights of unknown datum, sigma 5, 5, 10 m"] if count else []
     turned = sum(e.orientation != 1 for e in exifs)
-    return notes + ([f"{turned} photos ask to be shown turned (EXIF orientation); pixels refer to the photo as it is stored"] if turned else [])
+    if turned:
+        notes.append(f"{turned} photos ask to be shown turned (EXIF orientation); pixels refer to the photo as it is stored")
+    return notes
 
 
 def _written_path(photo: Path, folder: Path) -> str:
@@ -250,7 +271,8 @@ def _none() -> Observations:
 # -- simulate -------------------------------------------------------------------------------------------------------------
 
 
-def simulate_project(kind: str, folder: Path | str, *, seed: int = 0, reduction: int = 4, quality: int = 88, photos: bool = True) -> Block:
+def simulate_project(kind: str, folder: Path | str, *, seed: int = 0, reduction: int = 4, quality: int = 88,
+                     photos: bool = True) -> Block:
     """A project with known truth: project folder, truth.json, dem.tif and photos made smaller by `reduction`."""
     from . import simulation
 

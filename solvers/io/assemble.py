@@ -29,7 +29,7 @@ def sort_files(files: Sequence[Path]) -> tuple[tuple[Path, ...], Path | None]:
         if file.is_dir():
             inside = sorted(f for f in file.iterdir() if f.suffix.lower() in EXTENSIONS)
             if not inside:
-                raise BadProject(f"{file}: there are no photos ({', '.join(EXTENSIONS)}) in this folder; name the photos themselves")
+                raise BadProject(f"{file}: there are no photos ({', '.join(EXTENSIONS)}) in it; name the photos themselves")
             photos += inside
         elif not file.exists():
             raise BadProject(f"{file}: there is no such file; correct the path")
@@ -79,7 +79,8 @@ def cameras_of(photos: Sequence[Path], exifs: Sequence[Exif], pixel_um: float | 
             keys[who, interior], cameras[name] = name, interior
             notes.append(f"camera {name}: {exif.width} x {exif.height} pixels of {pitch * 1e3:.4g} micrometres "
                          f"({'given' if pixel_um is not None else exif.pitch_source}), c = {c:.6g} mm "
-                         f"({'given' if c_mm is not None else 'EXIF focal length'}), principal point in the centre, no distortion")
+                         f"({'given' if c_mm is not None else 'EXIF focal length'}), principal point in the centre, no "
+                         "distortion")
         of.append(keys[who, interior])
     return cameras, tuple(of), tuple(notes)
 
@@ -128,15 +129,18 @@ def measurements(control: ControlList, images: Sequence[Image], photos: Sequence
             continue
         camera, pixel = cameras[images[i].camera], np.array([mark.col, mark.row]) - shift
         if not camera.inside(pixel):
-            raise BadTable(f"{control.path} line {mark.line}: point '{mark.point}' at col {mark.col:g}, row {mark.row:g} lies outside photo "
-                           f"'{mark.image}' of {camera.width} x {camera.height} pixels; give the photo at the size it was measured in")
+            raise BadTable(f"{control.path} line {mark.line}: point '{mark.point}' at col {mark.col:g}, row {mark.row:g} lies "
+                           f"outside photo '{mark.image}' of {camera.width} x {camera.height} pixels; give the photo at the "
+                           "size it was measured in")
         rows.append((i, points[mark.point], *pixel, mark.sigma))
     if strangers and not rows:
         raise BadTable(f"{control.path}: none of its measurements is in the photos given, they are in {_first(strangers)}; "
                        "name those photos")
     table = np.array(sorted(rows, key=lambda r: r[0]), float).reshape(-1, 5)
-    notes = (f"left out: {sum(strangers.values())} measurements in photos that were not given ({_first(strangers)})",) if strangers else ()
-    return Observations(table[:, 0].astype(int), table[:, 1].astype(int), table[:, 2:4], table[:, 4]), notes
+    observations = Observations(table[:, 0].astype(int), table[:, 1].astype(int), table[:, 2:4], table[:, 4])
+    if not strangers:
+        return observations, ()
+    return observations, (f"left out: {strangers.total()} measurements in photos that were not given ({_first(strangers)})",)
 
 
 def points_of(control: ControlList | None, xyz: np.ndarray) -> Points:

@@ -39,7 +39,8 @@ def transformed(xyz: np.ndarray, source: str, target: str) -> np.ndarray:
     if source == target:
         return xyz
     if "local" in (source, target):
-        raise BadProject(f"coordinates in '{source}' cannot be converted to '{target}'; give the crs of the control points with --crs")
+        raise BadProject(f"coordinates in '{source}' cannot be converted to '{target}'; give the crs of the control points with "
+                         "--crs")
     x, y = Transformer.from_crs(_crs(source), _crs(target), always_xy=True).transform(xyz[:, 0], xyz[:, 1])
     out = np.column_stack([x, y, xyz[:, 2]])
     if not np.isfinite(out[np.isfinite(xyz).all(axis=1)]).all():

@@ -24,7 +24,8 @@ def demo_assets() -> Path:
     for file in files:
         if file.parts[-4:] == ("share", "collinea", "demo", "project.toml"):
             return Path(str(file.locate())).resolve().parent
-    raise BadProject(f"{checkout}: the demo project is not there; make one with: collinea simulate uav_cluster -o FOLDER, then: collinea view FOLDER")
+    raise BadProject(f"{checkout}: the demo project is not there; make one with: collinea simulate uav_cluster -o FOLDER, then: "
+                     "collinea view FOLDER")
 
 
 def demo_copy() -> Path:
@@ -46,7 +47,8 @@ def _copied(assets: Path, target: Path) -> Path:
         return target
     part = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name}."))
     try:
-        shutil.copytree(assets, part, dirs_exist_ok=True, ignore=shutil.ignore_patterns("runs", "README*"), copy_function=shutil.copyfile)
+        shutil.copytree(assets, part, dirs_exist_ok=True, ignore=shutil.ignore_patterns("runs", "README*"),
+                        copy_function=shutil.copyfile)
         if not target.exists():
             os.replace(part, target)
     finally:

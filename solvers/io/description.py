@@ -109,7 +109,8 @@ def read_description(path: Path) -> tuple[Block, str]:
         points=Points((), np.empty((0, 3)), np.empty((0, 3)), ()),
         observations=Observations(np.empty(0, int), np.empty(0, int), np.empty((0, 2)), np.empty(0)),
         image_px=weights.number("image_px", 0.5, above=0, expected="a positive number of pixels"),
-        control_m=_three(weights.vector("control_m", 3, (0.02, 0.02, 0.04), lowest=0, expected="sX, sY, sZ in metres, not negative")),
+        control_m=_three(weights.vector("control_m", 3, (0.02, 0.02, 0.04), lowest=0,
+                                        expected="sX, sY, sZ in metres, not negative")),
         surface=_surface(surface),
     )
     return block, origin
@@ -133,12 +134,14 @@ def to_toml(value: Mapping[str, Any]) -> str:
     """TOML of plain values, every list of numbers on one line."""
     import tomli_w
 
-    return re.sub(r"\[\n((?: +[^\s\[\]\"]+,\n)+)\]", lambda m: f"[{', '.join(m[1].replace(',', ' ').split())}]", tomli_w.dumps(value))
+    return re.sub(r"\[\n((?: +[^\s\[\]\"]+,\n)+)\]", lambda m: f"[{', '.join(m[1].replace(',', ' ').split())}]",
+                  tomli_w.dumps(value))
 
 
 def _load(path: Path) -> Section:
     try:
-        text = decode_utf8(path, read_bytes(path, "'collinea init' makes a project folder from photos and a list of control points"))
+        text = decode_utf8(path,
+                           read_bytes(path, "'collinea init' makes a project folder from photos and a list of control points"))
         return Section(path, "", tomllib.loads(text))
     except tomllib.TOMLDecodeError as error:
         raise BadProject(f"{path}: this is not TOML: {_one_line(error)}; correct it there") from None
@@ -169,14 +172,16 @@ def _principal_point(table: Section, interior: Interior, origin: str) -> tuple[f
     """xp, yp in mm from whichever of the two forms is given."""
     in_px, in_mm = "principal_point_px" in table.values, "xp_mm" in table.values or "yp_mm" in table.values
     if in_px and in_mm:
-        raise table.error("principal_point_px", "the principal point is given twice; keep either principal_point_px or xp_mm and yp_mm")
+        raise table.error("principal_point_px",
+                          "the principal point is given twice; keep either principal_point_px or xp_mm and yp_mm")
     if in_px:
         pixel = table.vector("principal_point_px", 2, expected="col, row") - np.full(2, 0.5 if origin == "corner" else 0.0)
         x, y = interior.photo(pixel)
         return float(x), float(y)
     if in_mm:
         return table.number("xp_mm"), table.number("yp_mm")
-    raise table.error("principal_point_px", "the principal point is missing; write principal_point_px = [col, row], or xp_mm and yp_mm "
+    raise table.error("principal_point_px",
+                      "the principal point is missing; write principal_point_px = [col, row], or xp_mm and yp_mm "
                       "(both 0 when it is not known)")
 
 
@@ -194,8 +199,10 @@ def _prior(table: Section) -> Prior:
     table.check_keys(PRIOR_KEYS)
     centre = _all_or_none(table, ("X", "Y", "Z"))
     angles = _all_or_none(table, ("omega_deg", "phi_deg", "kappa_deg"))
-    sigma_m = table.vector("sigma_m", 3, above=0, expected="three positive numbers of metres") if "sigma_m" in table.values else None
-    sigma_deg = table.vector("sigma_deg", 3, above=0, expected="three positive numbers of degrees") if "sigma_deg" in table.values else None
+    sigma_m = table.vector("sigma_m", 3, above=0,
+                           expected="three positive numbers of metres") if "sigma_m" in table.values else None
+    sigma_deg = table.vector("sigma_deg", 3, above=0,
+                             expected="three positive numbers of degrees") if "sigma_deg" in table.values else None
     return Prior(centre, None if angles is None else np.radians(angles), None if sigma_m is None else np.array(sigma_m),
                  None if sigma_deg is None else np.radians(sigma_deg))
 

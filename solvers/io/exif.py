@@ -58,12 +58,13 @@ def read_exif(path: Path | str) -> Exif:
     if alt is not None and gps.get(5) in (1, b"\x01", b"1"):
         alt = -abs(alt)
     orientation = main.get(274)
-    return Exif(make, model, focal, focal35, pitch, source, width, height, lat, lon, alt, orientation if isinstance(orientation, int) else 1)
+    return Exif(make, model, focal, focal35, pitch, source, width, height, lat, lon, alt,
+                orientation if isinstance(orientation, int) else 1)
 
 
 def _pitch(tags: dict[int, Any], model: str, focal: float | None, focal35: float | None, width: int, height: int,
            taken: float) -> tuple[float | None, str]:
-    """Pixel pitch [mm] of the file as it is and its source: the sensor table, the focal plane resolution, the 35-mm equivalent."""
+    """Pixel pitch [mm] of the file as it is, and its source: sensor table, focal plane resolution or 35-mm equivalent."""
     known = known_pitch(model, width, height)
     if known is not None:
         return known, "sensor table"

@@ -42,7 +42,8 @@ def decode_utf8(path: Path, data: bytes) -> str:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        raise BadTable(f"{path} line {line}: the byte 0x{data[error.start]:02x} is not UTF-8 text; save the file as UTF-8") from None
+        byte = f"0x{data[error.start]:02x}"
+        raise BadTable(f"{path} line {line}: the byte {byte} is not UTF-8 text; save the file as UTF-8") from None
     if "\0" in text:
         line = text.count("\n", 0, text.index("\0")) + 1
         raise BadTable(f"{path} line {line}: the file holds zero bytes and is not UTF-8 text; save the file as UTF-8")

@@ -15,9 +15,10 @@ from .tables import Row
 
 FIELDS = ("name", "X", "Y", "Z", "sX", "sY", "sZ", "role", "image", "col", "row", "sigma")
 ALIASES: dict[str, tuple[str, ...]] = {
-    "name": ("name", "id", "label", "point", "pointname", "pointid", "gcp", "gcplabel", "gcpname", "gcpid", "nr", "no", "number", "punkt", "punktnr",
-             "pt", "marker"),
-    "X": ("x", "e", "east", "easting", "geox", "xmap", "mapx", "rechtswert", "rw", "ost", "lon", "long", "longitude", "worldx", "xm"),
+    "name": ("name", "id", "label", "point", "pointname", "pointid", "gcp", "gcplabel", "gcpname", "gcpid", "nr", "no", "number",
+             "punkt", "punktnr", "pt", "marker"),
+    "X": ("x", "e", "east", "easting", "geox", "xmap", "mapx", "rechtswert", "rw", "ost", "lon", "long", "longitude", "worldx",
+          "xm"),
     "Y": ("y", "n", "north", "northing", "geoy", "ymap", "mapy", "hochwert", "hw", "nord", "lat", "latitude", "worldy", "ym"),
     "Z": ("z", "h", "height", "elev", "elevation", "geoz", "alt", "altitude", "hoehe", "höhe", "worldz", "zm", "hm"),
     "sX": ("sx", "sigmax", "stdx", "xmapacc", "xacc", "accx", "sh", "sxy"),
@@ -49,7 +50,7 @@ class Mark:
 
 @dataclass(frozen=True)
 class ControlList:
-    """Control as read: names, xyz (n, 3) in `crs` (None when the file does not say), sigma (n, 3) m, roles, marks, notes for the reader."""
+    """Control as read: names, xyz (n, 3) in `crs` (None when the file does not say), sigma (n, 3) m, roles, marks and notes."""
 
     path: Path
     names: tuple[str, ...]
@@ -68,7 +69,8 @@ def read_control(path: Path | str, mapping: str | None = None, ask: Ask | None =
     unclear; without it an unclear table is refused. Raises BadTable with the cure.
     """
     path = Path(path)
-    first = next((line.strip() for line in read_text(path).splitlines() if line.strip() and not line.lstrip().startswith("#")), "")
+    lines = (line.strip() for line in read_text(path).splitlines())
+    first = next((line for line in lines if line and not line.startswith("#")), "")
     if mapping is None and is_crs(first):
         return _read_odm(path, first)
     sheet = read_sheet(path)
@@ -97,23 +99,28 @@ def _read_odm(path: Path, crs: str) -> ControlList:
             header_seen = True
             continue
         if len(cells) < 6:
-            raise BadTable(f"{path} line {n}: {len(cells)} items, expected geo_x geo_y geo_z im_x im_y image and perhaps a name; correct the line")
+            raise BadTable(f"{path} line {n}: {len(cells)} items, expected geo_x geo_y geo_z im_x im_y image and perhaps a name; "
+                           "correct the line")
         where, key = Row(path, n, dict(zip(("X", "Y", "Z", "col", "row"), cells, strict=False))), tuple(cells[:3])
         name = cells[6] if len(cells) > 6 else numbers.setdefault(key, f"gcp{len(numbers) + 1}")
         if name in points and points[name][0] != key:
-            raise where.error(f"point '{name}' has other coordinates than in line {points[name][1]}; correct one of them or rename the point")
+            raise where.error(f"point '{name}' has other coordinates than in line {points[name][1]}; correct one of them or "
+                              "rename the point")
         if cells[2].lower() == "nan":
             unknown.append(name)
         else:
             where.required("Z", "metres")
-        where.required("X", "metres"), where.required("Y", "metres")
+        where.required("X", "metres")
+        where.required("Y", "metres")
         points.setdefault(name, (key, n))
         if (name, cells[5]) in seen:
-            raise where.error(f"point '{name}' in image '{cells[5]}' is already in line {seen[name, cells[5]]}; remove one of them")
+            raise where.error(f"point '{name}' in image '{cells[5]}' is already in line {seen[name, cells[5]]}; remove one of "
+                              "them")
         seen[name, cells[5]] = n
         marks.append(Mark(name, cells[5], where.required("col", "pixels"), where.required("row", "pixels"), np.nan, n))
     if not points:
-        raise BadTable(f"{path}: there is no control point below the first line; write geo_x geo_y geo_z im_x im_y image on each line")
+        raise BadTable(f"{path}: there is no control point below the first line; write geo_x geo_y geo_z im_x im_y image on each "
+                       "line")
     xyz = np.array([[np.nan] * 3 if name in unknown else [float(v) for v in key] for name, (key, _) in points.items()])
     role = tuple("tie" if name in unknown else "control" for name in points)
     notes = [f"{', '.join(dict.fromkeys(unknown))}: no height is given, taken as tie"] if unknown else []
@@ -221,7 +228,8 @@ def _from_sheet(sheet: Sheet, columns: Mapping[str, int]) -> ControlList:
         if measured and row.cells.get("image"):
             image = row.cells["image"]
             if (name, image) in marks:
-                raise row.error(f"point '{name}' in image '{image}' is already in line {marks[name, image].line}; remove one of them")
+                raise row.error(f"point '{name}' in image '{image}' is already in line {marks[name, image].line}; remove one of "
+                                "them")
             marks[name, image] = Mark(name, image, row.required("col", "pixels"), row.required("row", "pixels"),
                                       row.number("sigma", "a standard error in pixels", above=0), row.line)
     values = list(points.values())

@@ -19,7 +19,8 @@ def write_heights(path: Path, heights: np.ndarray, west: float, north: float, ce
 
     rows, columns = heights.shape
     with MemoryFile() as memory:
-        with memory.open(driver="GTiff", width=columns, height=rows, count=1, dtype="float32", crs=None if crs == "local" else crs,
+        with memory.open(driver="GTiff", width=columns, height=rows, count=1, dtype="float32",
+                         crs=None if crs == "local" else crs,
                          transform=from_origin(west - cell / 2, north + cell / 2, cell, cell), compress="deflate", predictor=3,
                          nodata=float("nan")) as data:
             data.write(np.asarray(heights, np.float32), 1)

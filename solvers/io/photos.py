@@ -45,7 +45,8 @@ def check_photos(folder: Path | str, block: Block, images: tuple[str, ...] | Non
         path, camera = _found(Path(folder), block, image.name), block.camera_of(image.name)
         width, height = photo_size(path)
         if abs(width * camera.height - height * camera.width) > 0.01 * width * camera.height:
-            raise BadProject(f"{Path(folder) / 'project.toml'} [cameras.{image.camera}] width, height: {camera.width} x {camera.height} pixels do not "
+            raise BadProject(f"{Path(folder) / 'project.toml'} [cameras.{image.camera}] width, height: {camera.width} x "
+                             f"{camera.height} pixels do not "
                              f"have the shape of {path.name}, which has {width} x {height}; correct them or name the right photo")
 
 
@@ -135,10 +136,12 @@ def _inside(folder: Path, file: str, where: str, what: str) -> Path:
     """A file of a project by its absolute path or inside the folder. Raises BadProject for escapes and missing files."""
     absolute = Path(file).is_absolute()
     if not absolute and ".." in (*PurePosixPath(file).parts, *PureWindowsPath(file).parts):
-        raise BadProject(f"{where}: '{file}' leaves the project folder; write the absolute path or move the {what} into the folder")
+        raise BadProject(f"{where}: '{file}' leaves the project folder; write the absolute path or move the {what} into the "
+                         "folder")
     path = Path(file) if absolute else folder / file
     if not path.is_file():
-        raise BadProject(f"{where}: there is no {what} '{file}'; put it there, correct the path, or remove the line to work without it")
+        raise BadProject(f"{where}: there is no {what} '{file}'; put it there, correct the path, or remove the line to work "
+                         "without it")
     return path
 
 

@@ -39,7 +39,8 @@ def read_project(folder: Path | str) -> Block:
     return replace(block, observations=_read_observations(folder / "observations.csv", block, origin, lines))
 
 
-def write_project(block: Block, folder: Path | str, *, truth: Mapping[str, Any] | None = None, pixel_origin: str = "center") -> None:
+def write_project(block: Block, folder: Path | str, *, truth: Mapping[str, Any] | None = None,
+                  pixel_origin: str = "center") -> None:
     """Write a block as a project folder that `read_project` reads back unchanged; each file appears whole or not at all.
 
     truth: what truth.json says ({"images": .., "cameras": .., "points": ..}), only for simulated projects.
@@ -114,14 +115,16 @@ def _read_observations(path: Path, block: Block, origin: str, lines: Mapping[str
         i = _known(row, "image", images, "add [images.NAME] to project.toml")
         j = _known(row, "point", points, "add it to points.csv, with role tie and empty X, Y, Z if its position is not known")
         if (i, j) in seen:
-            raise row.error(f"point '{row.text('point')}' in image '{row.text('image')}' is already in line {seen[i, j]}; remove one of them")
+            raise row.error(f"point '{row.text('point')}' in image '{row.text('image')}' is already in line {seen[i, j]}; remove "
+                            "one of them")
         seen[i, j] = row.line
         pixel[n] = row.required("col", "pixels") - shift, row.required("row", "pixels") - shift
         sigma[n] = row.number("sigma", "a standard error in pixels", above=0)
         camera = block.cameras[block.images[i].camera]
         if not camera.inside(pixel[n]):
             raise row.error(f"point '{row.text('point')}' at col {row.cells['col']}, row {row.cells['row']} lies outside image "
-                            f"'{row.text('image')}' of {camera.width} x {camera.height} pixels; correct the pixel, or width and height of "
+                            f"'{row.text('image')}' of {camera.width} x {camera.height} pixels; correct the pixel, or width and "
+                            "height of "
                             f"[cameras.{block.images[i].camera}] in project.toml")
     index = np.array(list(seen), int).reshape(-1, 2)
     return Observations(index[:, 0].copy(), index[:, 1].copy(), pixel, sigma)

@@ -39,8 +39,8 @@ def new_run(project_folder: Path | str, command: str) -> Path:
 def latest_run(project_folder: Path | str, holding: str = "") -> Path | None:
     """The newest run of a project (that holds a file of the given name), None when there is none."""
     runs = Path(project_folder) / "runs"
-    there = [r for r in runs.iterdir() if r.is_dir() and RUN.fullmatch(r.name) and (r / holding).exists()] if runs.is_dir() else []
-    return max(there, key=lambda r: _order(r.name), default=None)
+    there = [r for r in runs.iterdir() if r.is_dir() and RUN.fullmatch(r.name)] if runs.is_dir() else []
+    return max((r for r in there if (r / holding).exists()), key=lambda r: _order(r.name), default=None)
 
 
 def trace_name(image: str, model: str) -> str:
@@ -51,7 +51,7 @@ def trace_name(image: str, model: str) -> str:
 def save_trace(trace: Trace, run_folder: Path | str, name: str = "trace") -> Path:
     """Write a trace as name.npz (x and scalars per row) and name.json (manifest and stop reason); returns the npz path."""
     folder = Path(run_folder)
-    arrays = {"x": trace.column("x"), "index": trace.column("index"), **{k: trace.column(k) for k in SCALARS}}
+    arrays: dict[str, Any] = {"x": trace.column("x"), "index": trace.column("index"), **{k: trace.column(k) for k in SCALARS}}
     path = folder / f"{name}.npz"
     write_atomic(path, lambda stream: np.savez(stream, **arrays))
     manifest = {**trace.manifest, "stop": trace.last.stop, "rows": len(trace), "format": FORMAT}

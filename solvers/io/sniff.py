@@ -100,9 +100,11 @@ def _delimiter(path: Path, content: Sequence[tuple[int, str]]) -> str:
             best, score = delimiter, share
     if not best:
         n, line = content[-1]
-        raise BadTable(f"{path} line {n}: '{line.strip()[:60]}' is not cut into columns by commas, semicolons, tabs or blanks; {EXPECTED}")
+        raise BadTable(f"{path} line {n}: '{line.strip()[:60]}' is not cut into columns by commas, semicolons, tabs or blanks; "
+                       f"{EXPECTED}")
     if best == "," and _comma_both(content):
-        raise BadTable(f"{path} line {content[-1][0]}: commas are both decimal signs and column separators; save the table with semicolons "
+        raise BadTable(f"{path} line {content[-1][0]}: commas are both decimal signs and column separators; save the table with "
+                       "semicolons "
                        "between the columns or with decimal points")
     return best
 

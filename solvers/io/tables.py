@@ -38,12 +38,13 @@ class Row:
         if not value:
             return float("nan")
         if not NUMBER.fullmatch(value):
-            cure = f"; {SAVE}" if NUMBER.fullmatch(value.replace(",", ".")) else "; correct the cell or leave it empty if it is unknown"
-            raise self.error(f"{column} is '{value}', expected {expected}{cure}")
+            comma = NUMBER.fullmatch(value.replace(",", "."))
+            cure = SAVE if comma else "correct the cell or leave it empty if it is unknown"
+            raise self.error(f"{column} is '{value}', expected {expected}; {cure}")
         number = float(value)
         if number in (float("inf"), -float("inf")):
             raise self.error(f"{column} is {value}, expected {expected}; correct it")
-        if lowest is not None and number < lowest or above is not None and number <= above:
+        if (lowest is not None and number < lowest) or (above is not None and number <= above):
             bound = f"at least {lowest:g}" if lowest is not None else f"more than {above:g}"
             raise self.error(f"{column} is {value}, expected {expected}, {bound}; correct it")
         return number
@@ -79,11 +80,12 @@ def read_table(path: Path, required: Sequence[str], optional: Sequence[str] = ()
             if len(cells) > len(header) and not any(cells[len(header):]):
                 cells = cells[:len(header)]
             if len(cells) != len(header):
-                raise BadTable(f"{path} line {reader.line_num}: {len(cells)} cells where the header has {len(header)} columns; {SAVE}, "
-                               "and put names that hold a comma in double quotes")
+                raise BadTable(f"{path} line {reader.line_num}: {len(cells)} cells where the header has {len(header)} columns; "
+                               f"{SAVE}, and put names that hold a comma in double quotes")
             rows.append(Row(path, reader.line_num, dict(zip(header, cells, strict=True))))
     except csv.Error as error:
-        raise BadTable(f"{path} line {reader.line_num}: this is not a comma-separated line ({error}); correct its quotes") from None
+        where = f"{path} line {reader.line_num}"
+        raise BadTable(f"{where}: this is not a comma-separated line ({error}); correct its quotes") from None
     return rows
 
 

@@ -38,7 +38,11 @@ kappa_deg = -90.0
 sigma_m = [1.0, 1.0, 1.0]
 sigma_deg = [1.0, 1.0, 1.0]
 """
-POINTS = "name,X,Y,Z,sX,sY,sZ,role,group\n317,999604.58,112344.443,139.453,0.02,0.02,0.04,control,a\n375,999619.041,112370.818,138.97,,,,check,\n9,,,,,,,tie,\n"
+POINTS = """name,X,Y,Z,sX,sY,sZ,role,group
+317,999604.58,112344.443,139.453,0.02,0.02,0.04,control,a
+375,999619.041,112370.818,138.97,,,,check,
+9,,,,,,,tie,
+"""
 OBSERVATIONS = "image,point,col,row,sigma\n8811,317,5007.6667,7275.6667,0.3\n8811,9,0,0,\n"
 
 
@@ -80,7 +84,8 @@ def test_reads_the_documented_example(tmp_path: Path) -> None:
 def test_corner_origin_moves_observations_and_principal_point_together(tmp_path: Path) -> None:
     centre = read_project(folder(tmp_path))
     toml = TOML.replace('"center"', '"corner"').replace("[4429.0, 6468.0]", "[4429.5, 6468.5]")
-    corner = read_project(folder(tmp_path, toml, observations="image,point,col,row,sigma\n8811,317,5008.1667,7276.1667,0.3\n8811,9,.5,.5,\n"))
+    corner = read_project(folder(tmp_path, toml,
+                                 observations="image,point,col,row,sigma\n8811,317,5008.1667,7276.1667,0.3\n8811,9,.5,.5,\n"))
     same(centre, corner)
 
 
@@ -95,9 +100,11 @@ def test_round_trip(tmp_path: Path, origin: str) -> None:
     sigma[4] = np.nan
     block = Block(
         "Ω site", "EPSG:32632", {"cam 1": camera, "b": plain},
-        (Image("DSC 1", "cam 1", "images/DSC 1.jpg", prior), Image("2", "b"), Image("x.y", "b", None, Prior(centre=np.array([1.0, 2, 3])))),
+        (Image("DSC 1", "cam 1", "images/DSC 1.jpg", prior), Image("2", "b"),
+         Image("x.y", "b", None, Prior(centre=np.array([1.0, 2, 3])))),
         Points(names, rng.normal(size=(12, 3)) * 1e6, sigma, ("control",) * 6 + ("check",) * 6, tuple("g" * 12)),
-        Observations(np.array([0, 0, 1, 2]), np.array([0, 1, 0, 11]), rng.uniform(0, 3999, (4, 2)), np.array([0.1, np.nan, 0.5, 1 / 3])),
+        Observations(np.array([0, 0, 1, 2]), np.array([0, 1, 0, 11]), rng.uniform(0, 3999, (4, 2)),
+                     np.array([0.1, np.nan, 0.5, 1 / 3])),
         image_px=0.3, control_m=(0.0, 0.01, 0.02), frame="grid", surface={"file": "dem.tif"})
     truth = {"images": {"2": {"X": 1.5, "omega_deg": 0.25}}, "cameras": {}, "points": {"a,b": [1.0, 2.0, 3.0]}}
     write_project(block, tmp_path / "p", truth=truth, pixel_origin=origin)

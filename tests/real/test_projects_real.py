@@ -147,10 +147,16 @@ def test_odm_br_fits(data: Path, tmp_path: Path) -> None:
     positions = {}
     for line in (source / "exif_lalo_4326dms.txt").read_text().splitlines()[1:]:
         lat, lon, name = line.split("\t")
-        degrees = [np.copysign(1, float(v.split()[0])) * sum(abs(float(p)) / 60**i for i, p in enumerate(v.split())) for v in (lon, lat)]
+        degrees = [_degrees(v) for v in (lon, lat)]
         positions[Path(name).stem] = transformed(np.array([[*degrees, 0.0]]), "EPSG:4326", "EPSG:32722")[0, :2]
     orientations = resected(tmp_path / "br", "--model", "perspective")
     assert len(orientations) == 4
     for o in orientations:
         assert o["converged"] and o["rms_px"] <= 3.7, (o["image"], o["rms_px"])
         assert np.hypot(*(np.array([o["X"], o["Y"]]) - positions[o["image"]])) < 4.0
+
+
+def _degrees(text: str) -> float:
+    """Degrees of "-25 36 21.73"."""
+    d, m, s = (float(part) for part in text.split())
+    return float(np.copysign(abs(d) + m / 60 + s / 3600, d))
