@@ -14,6 +14,10 @@ import numpy as np
 from ..geometry import Exterior, closest_rotation, skew
 
 
+_PATIENCE = 8
+"""Refining steps granted to every start."""
+
+
 def recentring(xy: np.ndarray, c: float) -> np.ndarray:
     """R_v (3, 3): turns the photo so that the mean ray becomes the optical axis of a virtual camera (FORMULAS 3.2)."""
     rays = _rays(xy, c)
@@ -45,7 +49,7 @@ def candidates(points: np.ndarray, xy: np.ndarray, c: float) -> list[Candidate]:
 
     Attitudes closer than a hundredth of a degree count as one.
     """
-    found = starts(points, xy, c)
+    found = _different(starts(points, xy, c), points, xy, c)
     refined, cost = refine(points, xy, c, [e for _, e in found])
     out: list[Candidate] = []
     for i in np.argsort(cost, kind="stable"):
@@ -67,6 +71,21 @@ def starts(points: np.ndarray, xy: np.ndarray, c: float) -> list[tuple[str, Exte
     if len(points) >= 4 and s[2] < 0.1 * s[0]:
         out += [("plane homography", e) for e in plane_homography(points, xy, c)]
     return out
+
+
+def _different(found: list[tuple[str, Exterior]], points: np.ndarray, xy: np.ndarray, c: float) -> list[tuple[str, Exterior]]:
+    """The starts with all points in front; of those closer than half a degree to each other only the first, the crudest."""
+    if not found:
+        return []
+    m, centre = np.stack([e.m for _, e in found]), np.stack([e.centre for _, e in found])
+    front = ((points @ m[:, 2].T - np.einsum("ki,ki->k", m[:, 2], centre)) < 0).all(axis=0)
+    flat = m.reshape(-1, 9)
+    gap2 = 6 - 2 * flat @ flat.T  # squared Frobenius distance, 8 sin^2(angle / 2)
+    keep: list[int] = []
+    for i in np.flatnonzero(front):
+        if (gap2[i, keep] > 2 * np.radians(0.5) ** 2).all():
+            keep.append(int(i))
+    return [found[i] for i in keep]
 
 
 def scaled_orthography(points: np.ndarray, xy: np.ndarray, c: float, updates: int = 2) -> list[Exterior]:
@@ -140,7 +159,7 @@ def three_points(points: np.ndarray, xy: np.ndarray, c: float) -> list[Exterior]
         4 * (-q * (1 + q) * cb + 2 * a2 / b2 * cg**2 * cb - (1 - r) * ca * cg),
         (1 + q) ** 2 - 4 * a2 / b2 * cg**2,
     ]
-    out = []
+    distances = []
     for v in np.roots(quartic):
         if abs(v.imag) > 1e-3 * (1 + abs(v)) or v.real <= 0:
             continue
@@ -150,23 +169,22 @@ def three_points(points: np.ndarray, xy: np.ndarray, c: float) -> list[Exterior]
         misfit = [abs(u**2 + v.real**2 - 2 * u * v.real * ca - a2 / s1**2) for u in roots]
         best = int(np.argmin(misfit))
         take = [roots[best]] if misfit[1 - best] > 1e-3 * a2 / s1**2 else roots
-        for u in take:
-            if u > 0:
-                out.append(_align(points, f * (s1 * np.array([1.0, u, v.real]))[:, None]))
-    return out
+        distances += [(s1, s1 * u, s1 * v.real) for u in take if u > 0]
+    if not distances:
+        return []
+    m, centre = _align(points, np.array(distances)[:, :, None] * f)
+    return [Exterior(a, b) for a, b in zip(m, centre, strict=True)]
 
 
-def _align(points: np.ndarray, camera: np.ndarray) -> Exterior:
-    """The orientation that carries three object points onto three camera points."""
-    def axes(p: np.ndarray) -> np.ndarray:
-        x = p[1] - p[0]
-        x = x / np.linalg.norm(x)
-        z = np.cross(x, p[2] - p[0])
-        z = z / max(float(np.linalg.norm(z)), 1e-300)
-        return np.stack([x, np.cross(z, x), z], axis=1)
-
-    m = axes(camera) @ axes(points).T
-    return Exterior(m, points.mean(axis=0) - m.T @ camera.mean(axis=0))
+def _align(points: np.ndarray, camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """M (k, 3, 3) and centres (k, 3) that carry three object points (3, 3) onto three camera points (k, 3, 3)."""
+    corners = np.concatenate([points[None], camera])
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    z = np.cross(a, b)
+    frame = np.stack([a, np.cross(z, a), z], axis=2)
+    frame = frame / np.maximum(np.linalg.norm(frame, axis=1, keepdims=True), 1e-300)
+    m = frame[1:] @ frame[0].T
+    return m, points.mean(axis=0) - np.einsum("kji,kj->ki", m, camera.mean(axis=1))
 
 
 def direct_linear(points: np.ndarray, xy: np.ndarray, c: float) -> list[Exterior]:
@@ -218,24 +236,29 @@ def refine(points: np.ndarray, xy: np.ndarray, c: float, exteriors: list[Exterio
     damping = np.full(len(m), 1e-3)
     v, j = _residuals(points, xy, c, m, centre)
     cost = 0.5 * (v**2).sum(axis=1)
-    alive = np.isfinite(cost)
-    v, j, cost = np.where(alive[:, None], v, 0.0), np.where(alive[:, None, None], j, 0.0), np.where(alive, cost, np.inf)
-    for _ in range(steps):
+    cost[~np.isfinite(cost)] = np.inf
+    live = np.flatnonzero(np.isfinite(cost))
+    v, j = v[live], j[live]
+    for step in range(steps):
+        if not len(live):
+            break
         jt = np.swapaxes(j, 1, 2)
         n, g = jt @ j, (jt @ v[..., None])[..., 0]
         d = np.sqrt(np.maximum(np.einsum("kii->ki", n), 1e-300))
-        scaled = n / d[:, :, None] / d[:, None, :] + (damping[:, None, None] + 1e-15) * np.eye(6)
+        scaled = n / d[:, :, None] / d[:, None, :] + (damping[live, None, None] + 1e-15) * np.eye(6)
         dx = np.linalg.solve(scaled, (g / d)[..., None])[..., 0] / d
-        trial_m, trial_c = _exp_batch(dx[:, 3:]) @ m, centre + dx[:, :3]
+        trial_m, trial_c = _exp_batch(dx[:, 3:]) @ m[live], centre[live] + dx[:, :3]
         tv, tj = _residuals(points, xy, c, trial_m, trial_c)
         tcost = 0.5 * (tv**2).sum(axis=1)
-        better = (tcost <= cost) & alive
-        pick = better[:, None]
-        m, centre = np.where(pick[..., None], trial_m, m), np.where(pick, trial_c, centre)
-        v, j, cost = np.where(pick, tv, v), np.where(pick[..., None], tj, j), np.where(better, tcost, cost)
-        damping = np.where(better, damping * 0.1, np.maximum(damping, 1e-9) * 10)
-        if (np.linalg.norm(dx * d, axis=1)[alive] < 1e-9 * (np.sqrt(cost[alive]) + c * 1e-9)).all():
-            break
+        better = tcost <= cost[live]
+        won = live[better]
+        m[won], centre[won], cost[won] = trial_m[better], trial_c[better], tcost[better]
+        v, j = np.where(better[:, None], tv, v), np.where(better[:, None, None], tj, j)
+        damping[live] = np.where(better, damping[live] * 0.1, np.maximum(damping[live], 1e-9) * 10)
+        go = np.linalg.norm(dx * d, axis=1) >= 1e-7 * np.sqrt(cost[live]) + 1e-10 * c
+        if step >= _PATIENCE:  # a start still on its way, a degree off in the photo and far behind the best, leads nowhere
+            go &= cost[live] <= max(0.5 * len(points) * (0.02 * c) ** 2, 4 * cost.min())
+        live, v, j = live[go], v[go], j[go]
     return [Exterior(a, b) for a, b in zip(m, centre, strict=True)], cost
 
 
@@ -278,10 +301,11 @@ def _wide_triples(points: np.ndarray, count: int = 4) -> list[list[int]]:
     if n <= 6:
         pool = list(range(n))
     else:
-        far = [int(np.argmax(((points - points.mean(axis=0)) ** 2).sum(axis=1)))]
-        while len(far) < 6:
-            far.append(int(np.argmax(np.min([((points - points[i]) ** 2).sum(axis=1) for i in far], axis=0))))
-        pool = far
+        pool = [int(np.argmax(((points - points.mean(axis=0)) ** 2).sum(axis=1)))]
+        nearest = np.full(n, np.inf)
+        while len(pool) < 6:
+            nearest = np.minimum(nearest, ((points - points[pool[-1]]) ** 2).sum(axis=1))
+            pool.append(int(np.argmax(nearest)))
     triples = list(itertools.combinations(pool, 3))
     p = points[np.array(triples)]
     area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)

@@ -180,7 +180,10 @@ class Orthogonal:
         jg, jp, p = self.models(exterior)
         v = self.pixels - project(self.interior, exterior, self.points)
         pull = np.einsum("nai,nab,nb->i", jg, p, v)  # zero at the fixed point
-        step = np.linalg.solve(np.einsum("nai,nab,nbj->ij", jg, p, jp), pull)
+        try:
+            step = np.linalg.solve(np.einsum("nai,nab,nbj->ij", jg, p, jp), pull)
+        except np.linalg.LinAlgError:
+            return Aimed(plain, np.full(8, np.nan))
         moved = Exterior(exp(step[3:]) @ exterior.m, exterior.centre + step[:3])
         return Aimed(plain, self.affine_of(moved) - x[12:])
 

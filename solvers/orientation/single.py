@@ -25,6 +25,7 @@ from .words import bad_fit, correlations, undetermined
 AMBIGUOUS = 6.0
 """Discrimination D below which two solutions cannot be told apart (FORMULAS section 3.4)."""
 ORTHOGONAL = Options.gauss_newton(max_iterations=100)
+AIMED = Options.gauss_newton(max_iterations=20)
 SAME = 1e-5
 """Attitudes closer than this [rad] are one solution."""
 
@@ -156,11 +157,10 @@ def _perspective(request: Request, control: Control, found: list[Candidate], pri
         raise DegenerateGeometry(f"image '{request.image}': {len(control)} control points cannot determine "
                                  f"{6 + len(request.free)} unknowns; measure more control or free fewer interior parameters")
     best = found[0]
-    target = solve(problem, problem.start(best.exterior))
-    for first in (best.start, best.exterior):  # the crude start, where it leads to the same minimum
-        x0 = problem.start(first)
-        if apart(Exterior.from_vector(solve(problem, x0).last.x), Exterior.from_vector(target.last.x)) <= SAME:
-            break
+    x0, near = problem.start(best.start), problem.start(best.exterior)
+    ends = [Exterior.from_vector(solve(problem, x).last.x) for x in (x0, near)]
+    if apart(*ends) > SAME:  # the crude start leads to another minimum
+        x0 = near
     return problem, x0, found[1:]
 
 
@@ -193,12 +193,13 @@ def _orthogonal(request: Request, control: Control, found: list[Candidate],
     for attempt, beginnings in [aimed] if problem.statistics(best).radius >= 1 else [plain, aimed]:
         if request.prior == "initial" and prior:
             beginnings = [attempt.start(attempt.affine_of(prior.exterior))]
+        options = AIMED if attempt.accelerated else ORTHOGONAL
         for x0 in beginnings:  # the first that ends beside the best perspective solution; the linear start leads
-            trace = solve(attempt, x0, ORTHOGONAL)
+            trace = solve(attempt, x0, options)
             end = Exterior.from_vector(trace.last.x)
             if _sound(control, trace, best) and all(apart(end, best) < apart(end, k.exterior) for k in found[1:]):
                 return attempt, x0, found
-    return problem, _best_run(problem, plain[1], control)[0], found
+    return problem, plain[1][0], found  # no fixed point that holds: the plain repetition shows how it fails
 
 
 def _best_run(problem: Orthogonal | OrthogonalFreeC, beginnings: list[np.ndarray], control: Control) -> tuple[np.ndarray, Trace]:
