@@ -79,3 +79,41 @@ class LocalFrame:
         at, axes = self._tangent
         g = local @ axes + at
         return np.stack(self._to_geocentric.transform(g[..., 0], g[..., 1], g[..., 2], direction="INVERSE"), -1)
+
+    @cached_property
+    def _to_degrees(self) -> Any:
+        from pyproj import CRS, Transformer
+
+        _ = self._to_geocentric  # refuses what is no map projection
+        crs = CRS.from_user_input(self.crs)
+        return Transformer.from_crs((crs.sub_crs_list[0] if crs.is_compound else crs).to_2d(), "EPSG:4326", always_xy=True)
+
+    def to_degrees(self, local: np.ndarray) -> np.ndarray:
+        """Longitude, latitude [degrees WGS84] and height as it comes [m], (..., 3), of local coordinates (..., 3) m.
+
+        Raises BadProject in a frame that is on no map.
+        """
+        xyz = self.to_map(self._mapped(local))
+        lon, lat = self._to_degrees.transform(xyz[..., 0], xyz[..., 1])
+        return np.stack([lon, lat, xyz[..., 2]], -1)
+
+    def from_degrees(self, degrees: np.ndarray) -> np.ndarray:
+        """Local coordinates (..., 3) m of longitude, latitude [degrees WGS84] and height [m]: the inverse of `to_degrees`."""
+        d = self._mapped(degrees)
+        x, y = self._to_degrees.transform(d[..., 0], d[..., 1], direction="INVERSE")
+        return self.to_local(np.stack([x, y, d[..., 2]], -1))
+
+    def north_east_down(self, local: np.ndarray) -> np.ndarray:
+        """(3, 3) unit vectors to true north, east and down at a local position (3,), as rows, in local axes.
+
+        Grid north against true north (meridian convergence) and the curvature of the earth since the origin are in them.
+        """
+        lon, lat = np.radians(self.to_degrees(local)[:2])
+        east, up = np.array([-np.sin(lon), np.cos(lon), 0]), np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+        _, axes = self._tangent
+        return np.stack([np.cross(up, east), east, -up]) @ axes.T
+
+    def _mapped(self, values: np.ndarray) -> np.ndarray:
+        if self.cartesian:
+            raise BadProject("longitude and latitude have no place in a project with crs \"local\"; give the project the crs of its map")
+        return np.asarray(values, float)
