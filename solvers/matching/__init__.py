@@ -1,8 +1,12 @@
-"""Image matching: correlation, least squares matching, targets and tie points."""
+"""Image matching: correlation, least squares matching and signalised targets."""
 
+from .codes import number_targets
 from .lsm import LsmOptions, match_lsm
 from .ncc import match_ncc
 from .patches import Photo, prepare
+from .problem import LsmProblem, lsm_problem
 from .result import LsmResult, NccResult, Status
+from .targets import TargetOptions, Targets, find_targets
 
-__all__ = ["LsmOptions", "LsmResult", "NccResult", "Photo", "Status", "match_lsm", "match_ncc", "prepare"]
+__all__ = ["LsmOptions", "LsmProblem", "LsmResult", "NccResult", "Photo", "Status", "TargetOptions", "Targets", "find_targets",
+           "lsm_problem", "match_lsm", "match_ncc", "number_targets", "prepare"]

@@ -1,0 +1,108 @@
+"""One least squares match as a problem of the adjustment engine: its iterations can be stepped, like any other adjustment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..adjustment import Dense
+from ..errors import DegenerateGeometry
+from . import batch
+from .patches import SMOOTH, Photo, prepare
+
+NAMES = ("a1", "a2", "a3", "b1", "b2", "b3", "r0", "r1")
+"""Parameters: a1, b1 col, row in the target (px); a2, a3, b2, b3 shape; r0 grey values, r1 gain - 1."""
+
+
+@dataclass(frozen=True)
+class LsmProblem:
+    """f(x0, y0) = r0 + (1 + r1) g(a1 + a2 x0 + a3 y0, b1 + b2 x0 + b3 y0), (x0, y0) px from the window's centre.
+
+    template (side, side) grey values f; target: the other photo. x is (8,), in the order of `NAMES`.
+    Reference: Gruen 1985, eq. 9 with the factors x0, y0 of its shaping columns.
+    """
+
+    template: np.ndarray
+    target: Photo
+
+    @property
+    def dof(self) -> int:
+        return self.template.size - 8
+
+    def offsets(self) -> tuple[np.ndarray, np.ndarray]:
+        """x0, y0 (side, side) px."""
+        half = self.template.shape[0] // 2
+        y0, x0 = np.mgrid[-half : half + 1, -half : half + 1].astype(float)
+        return x0, y0
+
+    def places(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """col, row (side, side) of the window's pixels in the target."""
+        x0, y0 = self.offsets()
+        return x[0] + x[1] * x0 + x[2] * y0, x[3] + x[4] * x0 + x[5] * y0
+
+    def warped(self, x: np.ndarray) -> np.ndarray:
+        """(side, side) the target's window as the template should look; NaN where it leaves the image."""
+        return x[6] + (1 + x[7]) * spline(self.target, *self.places(x))[0]
+
+    def cost(self, x: np.ndarray) -> float:
+        return 0.5 * float(((self.template - self.warped(x)) ** 2).sum())
+
+    def constraints(self, x: np.ndarray) -> np.ndarray:
+        return np.zeros(0)
+
+    def jacobian(self, x: np.ndarray) -> np.ndarray:
+        """(side^2, 8) derivatives of the warped window."""
+        x0, y0 = self.offsets()
+        g, gx, gy = spline(self.target, *self.places(x))
+        gx, gy = (1 + x[7]) * gx, (1 + x[7]) * gy
+        columns = (gx, gx * x0, gx * y0, gy, gy * x0, gy * y0, np.ones_like(g), g)
+        return np.stack([c.ravel() for c in columns], 1)
+
+    def normal(self, x: np.ndarray) -> Dense:
+        j = self.jacobian(x)
+        return Dense(j.T @ j, j.T @ (self.template - self.warped(x)).ravel())
+
+    def retract(self, x: np.ndarray, dx: np.ndarray) -> np.ndarray:
+        return x + dx
+
+
+def lsm_problem(template_image: np.ndarray | Photo, target_image: np.ndarray | Photo, at: np.ndarray, start: np.ndarray,
+                window: int = 21, shape: np.ndarray | None = None, smooth: float = SMOOTH) -> tuple[LsmProblem, np.ndarray]:
+    """The problem and its start x0 for one point; arguments as in `match_lsm`.
+
+    Raises DegenerateGeometry when the template window leaves its image.
+    """
+    (col, row), (x, y) = batch.points(at, "at")[0], batch.points(start, "start")[0]
+    matrix, half = batch.shapes(shape, 1)[0], batch.half_window(window)
+    v, u = np.mgrid[-half : half + 1, -half : half + 1].astype(float)
+    f = spline(prepare(template_image, smooth), col + u, row + v)[0]
+    if not np.isfinite(f).all():
+        raise DegenerateGeometry(f"the template window at {col:g}, {row:g} leaves the image or its data: choose another point")
+    problem = LsmProblem(f, prepare(target_image, smooth))
+    return problem, np.array([x, *matrix[0], y, *matrix[1], 0.0, 0.0])
+
+
+def spline(photo: Photo, col: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Values and slopes to col and row of the photo's spline; NaN outside it."""
+    c = photo.coefficients
+    inside = (col >= 1) & (row >= 1) & (col < c.shape[1] - 2) & (row < c.shape[0] - 2)
+    x, y = np.where(inside, col, 1.0), np.where(inside, row, 1.0)
+    ix, iy = np.floor(x).astype(int), np.floor(y).astype(int)
+    wx, dx = _weights(x - ix)
+    wy, dy = _weights(y - iy)
+    k = np.arange(-1, 3)
+    nodes = c[(iy[..., None] + k)[..., :, None], (ix[..., None] + k)[..., None, :]].astype(float)
+    outside = np.where(inside, 0.0, np.nan)
+
+    def weighted(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return np.einsum("...i,...ij,...j->...", a, nodes, b) + outside
+
+    return weighted(wy, wx), weighted(wy, dx), weighted(dy, wx)
+
+
+def _weights(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Cubic B-spline weights and their derivatives, (..., 4)."""
+    m = 1 - t
+    w = np.stack([m**3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3], -1) / 6
+    return w, np.stack([-m * m, 3 * t * t - 4 * t, -3 * t * t + 2 * t + 1, t * t], -1) / 2
