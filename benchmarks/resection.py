@@ -29,6 +29,7 @@ from solvers.orientation.batch import Status, resect_many
 
 NOISE = 0.3
 FLIP = np.array([1.0, -1.0, -1.0])[:, None]  # photo frame <-> camera frame of the others (y down, z forward)
+OFFSET = np.array([3.0, -4.0, 3.0])  # m, error of a given start
 UTM = np.array([679421.0, 9123785.0, 100.0])
 
 
@@ -140,7 +141,7 @@ def peers() -> tuple[dict[str, Adapter], dict[str, Adapter]]:
         def polish(p):  # start given: the truth, 2 degrees and 6 m off
             start = poselib.CameraPose()
             R0 = turn(0, 0.03) @ turn(1, -0.02) @ (FLIP * p.M)
-            start.R, start.t = R0, -R0 @ (p.C + [3.0, -4.0, 3.0])
+            start.R, start.t = R0, -R0 @ (p.C + OFFSET)
             pose, _ = poselib.refine_absolute_pose(p.uv, p.X, start, pinhole(p.k), {"loss_type": "TRIVIAL"})
             return FLIP * pose.R, -pose.R.T @ pose.t
 
@@ -176,7 +177,7 @@ def peers() -> tuple[dict[str, Adapter], dict[str, Adapter]]:
 
         def from_start(p):
             R0 = turn(0, 0.03) @ turn(1, -0.02) @ (FLIP * p.M)
-            T = pycolmap.Rigid3d(pycolmap.Rotation3d(R0), -R0 @ (p.C + [3.0, -4.0, 3.0]))
+            T = pycolmap.Rigid3d(pycolmap.Rotation3d(R0), -R0 @ (p.C + OFFSET))
             use = np.ones(len(p.X), bool)
             o = pycolmap.refine_absolute_pose(T, p.uv, p.X, use, colmap_camera(p.k), plain, True)
             if o is None:

@@ -561,7 +561,8 @@ def three_point(Y, i, j, k, Rs, ts, f, World, Cam, roots):
     p, q, h, gg = (a2 - c2) / b2, (a2 + c2) / b2, c2 / b2, a2 / b2
     A4 = (p - 1.0) ** 2 - 4.0 * h * ca * ca
     A3 = 4.0 * (p * (1.0 - p) * cb - (1.0 - q) * ca * cg + 2.0 * h * ca * ca * cb)
-    A2 = 2.0 * (p * p * (1.0 + 2.0 * cb * cb) - 1.0 + 2.0 * (1.0 - h) * ca * ca - 4.0 * q * ca * cb * cg + 2.0 * (1.0 - gg) * cg * cg)
+    A2 = p * p * (1.0 + 2.0 * cb * cb) - 1.0 + 2.0 * (1.0 - h) * ca * ca - 4.0 * q * ca * cb * cg + 2.0 * (1.0 - gg) * cg * cg
+    A2 *= 2.0
     A1 = 4.0 * (-p * (1.0 + p) * cb + 2.0 * gg * cg * cg * cb - (1.0 - q) * ca * cg)
     A0 = (1.0 + p) ** 2 - 4.0 * gg * cg * cg
     if not abs(A4) > 1e-12 * (abs(A3) + abs(A2) + abs(A1) + abs(A0)):
@@ -1051,9 +1052,12 @@ def orthogonal_images(
             R[0, j], R[1, j], R[2, j] = M[b, 0, j], -M[b, 1, j], -M[b, 2, j]
         for i in range(3):
             t[i] = R[i, 0] * (mean[0] - C[b, 0]) + R[i, 1] * (mean[1] - C[b, 1]) + R[i, 2] * (mean[2] - C[b, 2])
-        if orthogonal_fixed_point(Y, n, R, t, ws, cov[b]):
+        dof = 2 * n - 6
+        best = sigma0[b] * sigma0[b] * dof if dof > 0 else 0.0
+        # a fixed point that fits much worse than the perspective minimum is a false one
+        if orthogonal_fixed_point(Y, n, R, t, ws, cov[b]) and cost_of(Y, n, R, t) < best + 100.0 * max(1.0, best / max(dof, 1)):
             to_photo(R, t, mean, M[b], C[b])
-            sigma0[b] = np.sqrt(cost_of(Y, n, R, t) / (2 * n - 6)) if n > 3 else np.nan
+            sigma0[b] = np.sqrt(cost_of(Y, n, R, t) / dof) if dof > 0 else np.nan
             if status[b] == OK and not max(cov[b, 3, 3], cov[b, 4, 4], cov[b, 5, 5]) < WEAK_ROTATION**2:
                 status[b] = WEAK
         else:

@@ -110,7 +110,8 @@ def resect_many(
 
     points: (B, n, 3) m. pixels: (B, n, 2) col, row. valid: (B, n) mask, None = all. sigma_px: one number or (B, n).
     model: "perspective" (least squares) or "orthogonal" (fixed point of the iterated, re-centred orthogonal projection, depth
-    form, next to the perspective minimum, with its sandwich covariance). threads: None = all cores.
+    form, next to the perspective minimum, with its sandwich covariance; DIVERGED where there is none, as with flat control seen
+    square on, whose tilt the orthogonal model does not see). threads: None = all cores.
     A vertical start is tried first and believed only when its perspective residuals are at noise level; else scaled orthography
     of the re-centred bundle (both reversal solutions), else three-point poses. Impossible images get a status, not an exception.
     Pixels of unequal pitch are weighed by the geometric mean of the two.

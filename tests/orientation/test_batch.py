@@ -48,7 +48,7 @@ def test_truth_to_round_off(n, relief, anyhow, model):
 
 @pytest.mark.parametrize("model", ["perspective", "orthogonal"])
 def test_covariance_predicts_scatter(model):
-    X, uv, M, C = images(np.random.default_rng(2), 1500, 8)
+    X, uv, M, C = images(np.random.default_rng(2), 1500, 8, relief=100.0)
     r = resect_many(CAMERA, X, uv, model=model, sigma_px=SIGMA)
     assert np.all(r.status == Status.OK)
     e = errors(r, M, C)
