@@ -1,4 +1,4 @@
-"""Makes the demo project: python assets/make_demo.py [FOLDER]  (default: assets/demo, replaced). About half a minute."""
+"""Makes the demo project: python assets/make_demo.py [FOLDER]  (default: assets/demo, replaced). About half a minute of CPU."""
 
 import shutil
 import sys

@@ -58,29 +58,41 @@ def _clouds(n: int, longest: float, shortest: float, rng: np.random.Generator, f
 
 
 def _fields(x: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Parcels in columns of a warped, turned grid, each with its crop, its rows, its mottling and its hedge."""
+    """Parcels, each with its crop, its rows, its mottling and its hedge."""
+    n = len(x)
+    parcel, edge, u, v = _parcels(x, y, rng)
+    crop = _CROPS[rng.integers(0, len(_CROPS), 997)] * rng.uniform(0.92, 1.06, (997, 1))
+    period = rng.uniform(1.2, 2.6, 997).astype(np.float32)[parcel]
+    depth = rng.choice([0.0, 0.02, 0.05, 0.08], 997).astype(np.float32)[parcel]
+    along = np.where((rng.uniform(size=997) < 0.5)[parcel], v, u)
+    del u, v
+    along += 0.3 * _noise(n, 3.0, rng)
+    shade = 1 + depth * np.sin(np.float32(2 * np.pi) * along / period) * (1 + 0.6 * _noise(n, 5.0, rng))
+    del along, period, depth
+    rough = rng.uniform(0.06, 0.17, 997).astype(np.float32)[parcel]
+    shade += rough * _clouds(n, 2.4, 0.3, rng, 0.85) + 0.11 * _clouds(n, 40.0, 4.0, rng)
+    edge += 0.5 * _noise(n, 2.5, rng) + 0.3 * _noise(n, 0.8, rng)
+    picture = crop.astype(np.float32)[parcel]
+    picture *= shade[..., None]
+    return _over(picture, np.clip(1.2 - edge, 0, 1) * 0.75, (88, 100, 58))
+
+
+def _parcels(x: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Number (0..996) and distance from the edge [m] of the parcel at each place, and coordinates [m] along its two sides.
+
+    The parcels are cut from columns of a warped, turned grid.
+    """
     n, turn = len(x), np.radians(17.0)
     u = x * np.float32(np.cos(turn)) + y * np.float32(np.sin(turn)) + 6 * _noise(n, 90.0, rng) + 400
     v = -x * np.float32(np.sin(turn)) + y * np.float32(np.cos(turn)) + 6 * _noise(n, 80.0, rng) + 400
     width = np.float32(58.0)
     column = (u / width).astype(np.int32)
-    inside = u - column * width
     w = v + rng.uniform(0, 40, 32).astype(np.float32)[column]
     step = rng.uniform(24, 52, 32).astype(np.float32)[column]
     row = (w / step).astype(np.int32)
-    parcel = (column * 37 + row * 101) % 997
-    crop = _CROPS[rng.integers(0, len(_CROPS), 997)] * rng.uniform(0.92, 1.06, (997, 1))
-    picture = crop.astype(np.float32)[parcel]
-    period = rng.uniform(1.2, 2.6, 997).astype(np.float32)[parcel]
-    depth = rng.choice([0.0, 0.02, 0.05, 0.08], 997).astype(np.float32)[parcel]
-    along = np.where((rng.uniform(size=997) < 0.5)[parcel], v, u) + 0.3 * _noise(n, 3.0, rng)
-    shade = 1 + depth * np.sin(2 * np.pi * along / period) * (1 + 0.6 * _noise(n, 5.0, rng))
-    rough = rng.uniform(0.06, 0.17, 997).astype(np.float32)[parcel]
-    shade += rough * _clouds(n, 2.4, 0.3, rng, 0.85) + 0.11 * _clouds(n, 40.0, 4.0, rng)
-    picture *= shade[..., None]
-    edge = np.minimum(np.minimum(inside, width - inside), np.minimum(w - row * step, (row + 1) * step - w))
-    wobble = edge + 0.5 * _noise(n, 2.5, rng) + 0.3 * _noise(n, 0.8, rng)
-    return _over(picture, np.clip(1.2 - wobble, 0, 1) * 0.75, (88, 100, 58))
+    inside, along = u - column * width, w - row * step
+    edge = np.minimum(np.minimum(inside, width - inside), np.minimum(along, step - along))
+    return ((column * 37 + row * 101) % 997).astype(np.int16), edge, u, v
 
 
 def _over(picture: np.ndarray, cover: np.ndarray, colour: tuple[float, float, float]) -> np.ndarray:
