@@ -162,8 +162,32 @@ class Brought:
     image: str = ""
 
 
-Action = (ChooseImage | ChoosePoint | SwitchPoint | UsePoints | Set | Show | Step | GoTo | Play | Tick | Speed | Solve | Cancel | Undo
-          | Redo | Aim | Place | Unmark | Rows | Solved | Advised | Failed | Say | Brought)
+Action = (
+    ChooseImage
+    | ChoosePoint
+    | SwitchPoint
+    | UsePoints
+    | Set
+    | Show
+    | Step
+    | GoTo
+    | Play
+    | Tick
+    | Speed
+    | Solve
+    | Cancel
+    | Undo
+    | Redo
+    | Aim
+    | Place
+    | Unmark
+    | Rows
+    | Solved
+    | Advised
+    | Failed
+    | Say
+    | Brought
+)
 
 
 def update(state: State, action: Action) -> State:
@@ -191,7 +215,9 @@ def update(state: State, action: Action) -> State:
         case GoTo(row):
             return _at(replace(state, playing=False), row)
         case Play():
-            return replace(_at(state, 0) if not state.playing and state.row >= state.last_row else state, playing=not state.playing)
+            return replace(
+                _at(state, 0) if not state.playing and state.row >= state.last_row else state, playing=not state.playing
+            )
         case Tick():
             return _tick(state)
         case Speed(rows):
@@ -220,8 +246,16 @@ def update(state: State, action: Action) -> State:
 def _edit(state: State, **changes: Any) -> State:
     """A change of the work: remembered for undo, and everything is to be solved anew. Old solutions show until the new come."""
     work = replace(state.work, revision=state.next_revision, **changes)
-    return replace(state, work=work, next_revision=state.next_revision + 1, past=(*state.past, state.work)[-HISTORY:], future=(),
-                   held=None, follow=True, message="")
+    return replace(
+        state,
+        work=work,
+        next_revision=state.next_revision + 1,
+        past=(*state.past, state.work)[-HISTORY:],
+        future=(),
+        held=None,
+        follow=True,
+        message="",
+    )
 
 
 def _travel(state: State, back: str, forth: str) -> State:
@@ -307,8 +341,12 @@ def _observed(state: State, mark: Mark) -> Any:
         pixels[at[0]] = pixel
         new = replace(of, pixel=pixels)
     else:
-        new = Observations(np.append(of.image, i), np.append(of.point, j), np.vstack([of.pixel.reshape(-1, 2), pixel]),
-                           np.append(of.sigma, block.image_px))
+        new = Observations(
+            np.append(of.image, i),
+            np.append(of.point, j),
+            np.vstack([of.pixel.reshape(-1, 2), pixel]),
+            np.append(of.sigma, block.image_px),
+        )
     return replace(block, observations=new)
 
 

@@ -26,9 +26,9 @@ from .paint_viser import Painter
 from .panels.orientation import OrientationPanel
 from .panels.photo import PhotoPanel, magnified, nudged
 from .panels.project import ProjectPanel, ScenePanel
+from .panels.rerun import RerunPanel
 from .panels.trace import TracePanel
 from .picking import pick
-from .panels.rerun import RerunPanel
 from .scene import scene
 from .state import MODELS, State, wanted
 from .theme import PERSPECTIVE
@@ -155,7 +155,8 @@ class App:
         self._wire = Wire(server, self._heard)
         self._rerun = RerunPanel(gui, self.emit, lambda: self._state)
         self._tabs(gui)
-        server.scene.on_click()(self._clicked)
+        clicked: Any = self._clicked  # viser takes coroutines here too
+        server.scene.on_click()(clicked)
 
     def _tabs(self, gui: viser.GuiApi) -> None:
         tabs = gui.add_tab_group()
@@ -178,7 +179,10 @@ class App:
         return {
             "Open in rerun": ("The run of every image with rerun's own timeline, in a panel beside the scene.", self._rerun.open),
             "Save project": ("Write points, observations and project.toml into the project folder.", self._save),
-            "Scene as GLB": ("Download what is shown as binary glTF, in metres of the scene's origin.", lambda c: self._download(c, "glb")),
+            "Scene as GLB": (
+                "Download what is shown as binary glTF, in metres of the scene's origin.",
+                lambda c: self._download(c, "glb"),
+            ),
             "Scene as PLY": ("Download terrain, planes and frustums as one coloured mesh.", lambda c: self._download(c, "ply")),
         }
 
@@ -234,7 +238,9 @@ class App:
         client.send_file_download(f"{name}.{kind}", data)
 
 
-def run(folder: Path | str, *, host: str = "127.0.0.1", port: int = 0, open_browser: bool = True, token: str | None = None) -> None:
+def run(
+    folder: Path | str, *, host: str = "127.0.0.1", port: int = 0, open_browser: bool = True, token: str | None = None
+) -> None:
     """Open a project in the browser and serve until interrupted (Ctrl+C). Raises BadProject, BadTable, Unsupported."""
     with App(folder, host=host, port=port, token=token) as app:
         print(f"Collinea shows {app.state.block.name} at {app.url} (Ctrl+C ends it)", flush=True)

@@ -37,14 +37,16 @@ class Server(viser.ViserServer):
 
 
 def open_server(host: str = "127.0.0.1", port: int = 0, token: str | None = None) -> viser.ViserServer:
-    """A server that answers its own pages only: the Host header must be known, the Origin the same, and the token right if there is one.
+    """A server that answers its own pages only: known Host, same Origin, and the right token if there is one.
 
     Raises Unsupported where viser is another version and a host beyond this machine is asked for: then nothing would guard it.
     """
     remote = host not in LOCAL_HOSTS | {"::1"}
     if not known_version():
         if remote or token:
-            raise Unsupported(f"viser {viser.__version__} cannot be guarded; install viser 1.1 to open the viewer to other machines")
+            raise Unsupported(
+                f"viser {viser.__version__} cannot be guarded; install viser 1.1 to open the viewer to other machines"
+            )
         return Server(host=host, port=port, verbose=False)
     hosts = None if remote else LOCAL_HOSTS
     with _guarded(token, hosts):
@@ -53,10 +55,11 @@ def open_server(host: str = "127.0.0.1", port: int = 0, token: str | None = None
 
 @contextmanager
 def _guarded(token: str | None, hosts: frozenset[str] | None) -> Iterator[None]:
-    """While a server is made, its requests are checked first: viser has no hook for that. hosts None: any host, the token guards."""
+    """The server made inside checks its requests first; viser has no hook for that. hosts None: any, the token guards."""
     import viser.infra._infra as infra
 
-    asyncio_server: Any = infra.websockets.asyncio.server
+    library: Any = infra
+    asyncio_server = library.websockets.asyncio.server
     real = asyncio_server.serve
 
     def serve(handler: Any, host: str, port: int, **options: Any) -> Any:
@@ -93,7 +96,9 @@ def refuse(headers: dict[str, str], path: str, token: str | None, hosts: frozens
     if "origin" in said and said["origin"] not in (f"http://{netloc}", f"https://{netloc}"):
         return HTTPStatus.FORBIDDEN, "wrong origin"
     if token is not None:
-        shown = [c.strip().removeprefix("collinea=") for c in said.get("cookie", "").split(";") if c.strip().startswith("collinea=")]
+        shown = [
+            c.strip().removeprefix("collinea=") for c in said.get("cookie", "").split(";") if c.strip().startswith("collinea=")
+        ]
         shown += [q.removeprefix("token=") for q in path.partition("?")[2].split("&") if q.startswith("token=")]
         if not any(secrets.compare_digest(c.encode("utf-8", "surrogateescape"), token.encode()) for c in shown):
             return HTTPStatus.FORBIDDEN, "open the address printed in the terminal"
@@ -134,8 +139,11 @@ class Wire:
         """HTML attributes that make an element a button."""
         if not self.works:
             return f'title="{html.escape(hint)}"' if hint else ""
-        return (f'tabindex="0" role="button" data-kind="{html.escape(kind)}" data-value="{html.escape(value)}" title="{html.escape(hint)}" '
-                'onclick="collinea.press(event)" onkeydown="collinea.key(event)" style="cursor:pointer"')
+        return (
+            f'tabindex="0" role="button" data-kind="{html.escape(kind)}" '
+            f'data-value="{html.escape(value)}" title="{html.escape(hint)}" '
+            'onclick="collinea.press(event)" onkeydown="collinea.key(event)" style="cursor:pointer"'
+        )
 
     def surface(self, kind: str) -> str:
         """HTML attributes of an element that says where it was clicked: value [u, v], 0..1 from its top left corner."""
@@ -157,7 +165,11 @@ def parse(text: str) -> tuple[str, Any] | None:
     kind, value = said[0], said[1]
     if isinstance(value, str):
         return kind, value
-    numbers = isinstance(value, list) and len(value) == 2 and all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in value)
+    numbers = (
+        isinstance(value, list)
+        and len(value) == 2
+        and all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in value)
+    )
     return (kind, (float(value[0]), float(value[1]))) if numbers and all(0 <= v <= 1 for v in value) else None
 
 

@@ -27,7 +27,8 @@ def ply(scene: Scene) -> bytes:
     import trimesh
 
     meshes = [m for value in scene.values() if (m := _triangles(value)) is not None]
-    return bytes(trimesh.util.concatenate(meshes).export(file_type="ply"))
+    mesh: Any = trimesh.util.concatenate(meshes)
+    return bytes(mesh.export(file_type="ply"))
 
 
 def _collect(scene: Scene) -> Any:

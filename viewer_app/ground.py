@@ -65,8 +65,14 @@ def _north(state: State, x0: float, x1: float, y0: float, y1: float, z: float, c
     ink = theme.foreground(state.view.dark)
     x, tip, head = x1 + 0.6 * cell, y1, 0.25 * cell
     foot = tip - 1.6 * cell
-    arrow = np.array([[(x, foot, z), (x, tip, z)], [(x, tip, z), (x - head, tip - 1.6 * head, z)],
-                      [(x, tip, z), (x + head, tip - 1.6 * head, z)], [(x - head, foot, z), (x + head, foot, z)]])
+    arrow = np.array(
+        [
+            [(x, foot, z), (x, tip, z)],
+            [(x, tip, z), (x - head, tip - 1.6 * head, z)],
+            [(x, tip, z), (x + head, tip - 1.6 * head, z)],
+            [(x - head, foot, z), (x + head, foot, z)],
+        ]
+    )
     y, tick = y0 - 0.5 * cell, 0.15 * cell
     bar = np.array([[(x0, y, z), (x0 + cell, y, z)], *([[(x0 + d, y - tick, z), (x0 + d, y + tick, z)] for d in (0, cell)])])
     found: Scene = {"/ground/north": Segments(arrow, ink, 2.5), "/ground/scale": Segments(bar, ink, 2.5)}
@@ -113,9 +119,11 @@ def points(state: State) -> Scene:
     off = np.array([n in state.work.off for n in block.points.names], bool)
     role = np.array(block.points.role)
     size = symbol_size(state)
-    for name, which, colour, corners in (("control", (role == "control") & ~off, theme.CONTROL, 24),
-                                         ("check", (role == "check") & ~off, theme.CHECK, 3),
-                                         ("off", off, theme.INITIAL, 24)):
+    for name, which, colour, corners in (
+        ("control", (role == "control") & ~off, theme.CONTROL, 24),
+        ("check", (role == "check") & ~off, theme.CHECK, 3),
+        ("off", off, theme.INITIAL, 24),
+    ):
         at = xyz[known & which]
         if len(at):
             found[f"/points/{name}"] = Segments(_symbols(at, size, corners), colour, 3.0)

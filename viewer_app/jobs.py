@@ -6,6 +6,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
+from typing import Any
 
 from solvers import PhotogrammetryError
 from solvers.adjustment import Trace, iterate
@@ -65,7 +66,9 @@ class Jobs:
                 done = Failed(job, str(error))
             except Exception as error:
                 logging.getLogger("collinea").exception("%s %s", job.image, job.model)
-                done = Failed(job, f"{job.image}: the work on '{job.model}' stopped with {type(error).__name__}: {error}; see the terminal")
+                done = Failed(
+                    job, f"{job.image}: the work on '{job.model}' stopped with {type(error).__name__}: {error}; see the terminal"
+                )
             if done is not None:
                 self._finished.add(job.key)
                 self._emit(done)
@@ -74,8 +77,17 @@ class Jobs:
         if job.model == ADVICE:
             return Advised(job, advise(job.block, job.image, job.points))
         s = job.settings
-        request = Request(job.image, model=job.model, points=job.points, robust=s.robust, prior=s.prior, one_pass=s.one_pass, form=s.form,
-                          recentre=s.recentre)
+        model: Any = job.model
+        request = Request(
+            job.image,
+            model=model,
+            points=job.points,
+            robust=s.robust,
+            prior=s.prior,
+            one_pass=s.one_pass,
+            form=s.form,
+            recentre=s.recentre,
+        )
         start = prepare(job.block, request)
         rows, shown = [], time.monotonic()
         for row in iterate(start.problem, start.x0, start.options):

@@ -81,7 +81,7 @@ def photo(folder: Path, block: Any, image: str) -> Photo:
 
 
 def crop(photo: Photo, format_size: tuple[int, int], col: float, row: float, half: int) -> tuple[np.ndarray, float, float]:
-    """File pixels (2 half + 1, 2 half + 1, 3) around a pixel of the full photo, and that pixel's place (x, y) in them, 0 = first centre.
+    """File pixels (2 half + 1, 2 half + 1, 3) around a pixel of the full photo, and its place (x, y) in them, 0 = first centre.
 
     The file may be the full photo reduced by a factor: full = (file + 0.5) * factor - 0.5.
     """
@@ -144,5 +144,10 @@ def _level(surface: Any, frame: LocalFrame) -> float | None:
 
 def _truth(truth: dict[str, Any] | None, frame: LocalFrame) -> dict[str, Exterior]:
     images = (truth or {}).get("images", {})
-    return {name: Exterior.from_angles(*np.radians([v["omega_deg"], v["phi_deg"], v["kappa_deg"]]),
-                                       frame.to_local(np.array([v["X"], v["Y"], v["Z"]], float))) for name, v in images.items()}
+    return {
+        name: Exterior.from_angles(
+            *np.radians([v["omega_deg"], v["phi_deg"], v["kappa_deg"]]),
+            centre=frame.to_local(np.array([v["X"], v["Y"], v["Z"]], float)),
+        )
+        for name, v in images.items()
+    }

@@ -81,9 +81,24 @@ def _frustum_scale(value: Frustum) -> float:
 
 def _add_frustum(scene: viser.SceneApi, path: str, value: Frustum) -> list[Any]:
     wxyz, position = frustum_pose(value.exterior)
-    return [scene.add_camera_frustum(path, value.fov, value.aspect, scale=_frustum_scale(value), thickness=value.thickness,
-                                     thickness_units="screen", color=value.colour, image=value.image, format="jpeg", jpeg_quality=80,
-                                     wxyz=wxyz, position=position, cast_shadow=False, receive_shadow=False)]
+    return [
+        scene.add_camera_frustum(
+            path,
+            value.fov,
+            value.aspect,
+            scale=_frustum_scale(value),
+            thickness=value.thickness,
+            thickness_units="screen",
+            color=value.colour,
+            image=value.image,
+            format="jpeg",
+            jpeg_quality=80,
+            wxyz=wxyz,
+            position=position,
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+    ]
 
 
 def _change_frustum(nodes: list[Any], old: Frustum, new: Frustum) -> bool:
@@ -100,7 +115,11 @@ def _change_frustum(nodes: list[Any], old: Frustum, new: Frustum) -> bool:
 
 
 def _add_segments(scene: viser.SceneApi, path: str, value: Segments) -> list[Any]:
-    return [scene.add_line_segments(path, value.points.astype(np.float32), value.colour, thickness=value.thickness, thickness_units="screen")]
+    return [
+        scene.add_line_segments(
+            path, value.points.astype(np.float32), value.colour, thickness=value.thickness, thickness_units="screen"
+        )
+    ]
 
 
 def _change_segments(nodes: list[Any], old: Segments, new: Segments) -> bool:
@@ -111,15 +130,30 @@ def _change_segments(nodes: list[Any], old: Segments, new: Segments) -> bool:
 
 
 def _add_cloud(scene: viser.SceneApi, path: str, value: PointCloud) -> list[Any]:
-    return [scene.add_point_cloud(path, value.points.astype(np.float32), value.colours, point_size=value.size, point_shape="circle",
-                                  precision="float32")]
+    return [
+        scene.add_point_cloud(
+            path, value.points.astype(np.float32), value.colours, point_size=value.size, point_shape="circle", precision="float32"
+        )
+    ]
 
 
 def _add_ellipsoid(scene: viser.SceneApi, path: str, value: Ellipsoid) -> list[Any]:
     vertices, faces = _sphere()
     radii = tuple(float(r) for r in value.radii)
-    return [scene.add_mesh_simple(path, vertices, faces, color=value.colour, opacity=value.opacity, scale=(radii[0], radii[1], radii[2]),
-                                  wxyz=tf.SO3.from_matrix(value.axes).wxyz, position=value.centre, cast_shadow=False, receive_shadow=False)]
+    return [
+        scene.add_mesh_simple(
+            path,
+            vertices,
+            faces,
+            color=value.colour,
+            opacity=value.opacity,
+            scale=(radii[0], radii[1], radii[2]),
+            wxyz=tf.SO3.from_matrix(value.axes).wxyz,
+            position=value.centre,
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+    ]
 
 
 def _change_ellipsoid(nodes: list[Any], old: Ellipsoid, new: Ellipsoid) -> bool:
@@ -132,8 +166,18 @@ def _change_ellipsoid(nodes: list[Any], old: Ellipsoid, new: Ellipsoid) -> bool:
 
 
 def _add_plane(scene: viser.SceneApi, path: str, value: Plane) -> list[Any]:
-    return [scene.add_mesh_simple(path, value.corners.astype(np.float32), np.array([[0, 1, 2], [0, 2, 3]]), color=value.colour,
-                                  opacity=value.opacity, side="double", cast_shadow=False, receive_shadow=False)]
+    return [
+        scene.add_mesh_simple(
+            path,
+            value.corners.astype(np.float32),
+            np.array([[0, 1, 2], [0, 2, 3]]),
+            color=value.colour,
+            opacity=value.opacity,
+            side="double",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+    ]
 
 
 def _change_plane(nodes: list[Any], old: Plane, new: Plane) -> bool:
@@ -173,12 +217,25 @@ def _sphere() -> tuple[np.ndarray, np.ndarray]:
     vertices = np.stack([np.cos(a) * np.cos(b), np.cos(a) * np.sin(b), np.sin(a)], axis=-1).reshape(-1, 3)
     i, j = np.meshgrid(np.arange(rows - 1), np.arange(columns), indexing="ij")
     p, q = i * columns + j, i * columns + (j + 1) % columns
-    faces = np.concatenate([np.stack([p, q, q + columns], axis=-1), np.stack([p, q + columns, p + columns], axis=-1)]).reshape(-1, 3)
+    faces = np.concatenate([np.stack([p, q, q + columns], axis=-1), np.stack([p, q + columns, p + columns], axis=-1)]).reshape(
+        -1, 3
+    )
     return vertices.astype(np.float32), faces.astype(np.uint32)
 
 
 ADD: dict[type, Callable[[viser.SceneApi, str, Any], list[Any]]] = {
-    Frustum: _add_frustum, Segments: _add_segments, PointCloud: _add_cloud, Ellipsoid: _add_ellipsoid, Plane: _add_plane, Mesh: _add_mesh,
-    Label: _add_label}
+    Frustum: _add_frustum,
+    Segments: _add_segments,
+    PointCloud: _add_cloud,
+    Ellipsoid: _add_ellipsoid,
+    Plane: _add_plane,
+    Mesh: _add_mesh,
+    Label: _add_label,
+}
 CHANGE: dict[type, Callable[[list[Any], Any, Any], bool]] = {
-    Frustum: _change_frustum, Segments: _change_segments, Ellipsoid: _change_ellipsoid, Plane: _change_plane, Label: _change_label}
+    Frustum: _change_frustum,
+    Segments: _change_segments,
+    Ellipsoid: _change_ellipsoid,
+    Plane: _change_plane,
+    Label: _change_label,
+}

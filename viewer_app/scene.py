@@ -83,7 +83,7 @@ def sight(state: State, model: str, image: str | None = None) -> Sight | None:
 
 
 def vector_scale(state: State) -> float:
-    """The exaggeration of residual vectors that is drawn: the one asked for, less while they would leave the site (early rows)."""
+    """The exaggeration of residual vectors that is drawn: the one asked for, less while they would leave the site."""
     seen = next((s for m in MODELS if getattr(state.view, m) and (s := sight(state, m)) is not None), None)
     longest = 0.0 if seen is None or not len(seen.xyz) else float(np.linalg.norm(np.nan_to_num(seen.vectors), axis=1).max())
     low, high = site(state)
@@ -125,7 +125,7 @@ def prior(state: State, image: str) -> Exterior | None:
     given = state.block.images[state.block.image_index(image)].prior
     if given is None or given.centre is None or given.angles is None:
         return None
-    return Exterior.from_angles(*given.angles, state.assets.frame.to_local(given.centre))
+    return Exterior.from_angles(*given.angles, centre=state.assets.frame.to_local(given.centre))
 
 
 def _image(state: State, name: str, depth: float) -> Scene:
@@ -133,7 +133,10 @@ def _image(state: State, name: str, depth: float) -> Scene:
     path = "/images/" + name.replace("/", "_")
     interior = state.block.camera_of(name)
     px, py = interior.pitch
-    lens = {"fov": 2 * float(np.arctan(interior.height * py / 2 / interior.c)), "aspect": interior.width * px / (interior.height * py)}
+    lens = {
+        "fov": 2 * float(np.arctan(interior.height * py / 2 / interior.c)),
+        "aspect": interior.width * px / (interior.height * py),
+    }
     photo = state.assets.photos.get(name)
     thumbnail = photo.thumbnail if photo and view.photos else None
     for model in MODELS:
@@ -142,8 +145,14 @@ def _image(state: State, name: str, depth: float) -> Scene:
             continue
         first = model == "perspective"
         # The orthogonal frustum is a little larger, so that neither hides the other where they coincide.
-        found[f"{path}/{model}/camera"] = Frustum(exterior, depth=depth * (1 if first else 1.2), colour=theme.MODELS[model],
-                                                  thickness=3.0 if chosen else 1.5, image=thumbnail if first else None, **lens)
+        found[f"{path}/{model}/camera"] = Frustum(
+            exterior,
+            depth=depth * (1 if first else 1.2),
+            colour=theme.MODELS[model],
+            thickness=3.0 if chosen else 1.5,
+            image=thumbnail if first else None,
+            **lens,
+        )
         found |= _ellipsoid(state, name, model, exterior, f"{path}/{model}/ellipsoid")
         if chosen:
             found |= _chosen(state, model, f"{path}/{model}")
@@ -152,10 +161,12 @@ def _image(state: State, name: str, depth: float) -> Scene:
         found[f"{path}/initial/camera"] = Frustum(start, depth=depth * 0.8, colour=theme.INITIAL, thickness=1.5, **lens)
     truth = state.assets.truth.get(name)
     if view.truth and truth is not None:
-        found[f"{path}/truth/camera"] = Frustum(truth, depth=depth * 0.6, colour=theme.foreground(view.dark), thickness=1.0, **lens)
+        found[f"{path}/truth/camera"] = Frustum(
+            truth, depth=depth * 0.6, colour=theme.foreground(view.dark), thickness=1.0, **lens
+        )
     at = _any(state, name)
     if view.labels and at is not None:
-        found[f"{path}/label"] = Label(name, at.centre + [0, 0, 0.35 * depth], 1.15 if chosen else 0.9)
+        found[f"{path}/label"] = Label(name, at.centre + np.array([0, 0, 0.35 * depth]), 1.15 if chosen else 0.9)
     return found | (_difference(state, path, depth) if chosen else {})
 
 
@@ -207,7 +218,9 @@ def _bundle(state: State, seen: Sight, path: str) -> Scene:
     low, high = across.min(axis=0), across.max(axis=0)
     margin = 0.12 * max(float(np.linalg.norm(high - low)), 1e-3)
     low, high = low - margin, high + margin
-    corners = middle + np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]]) @ np.stack([right, up])
+    corners = middle + np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]]) @ np.stack(
+        [right, up]
+    )
     colour = theme.ORTHOGONAL
     return {
         f"{path}/parallel": Segments(np.stack([xyz, feet - reach * axis], axis=1), colour, 1.5),
@@ -240,8 +253,10 @@ def _difference(state: State, path: str, depth: float) -> Scene:
         return {}
     factor = nice(1.5 * depth / length)
     end = one.centre + factor * step
-    return {f"{path}/difference": Segments(np.stack([one.centre, end])[None], theme.foreground(view.dark), 3.0),
-            f"{path}/difference_label": Label(f"orthogonal − perspective {length:.3f} m, drawn × {factor:g}", end)}
+    return {
+        f"{path}/difference": Segments(np.stack([one.centre, end])[None], theme.foreground(view.dark), 3.0),
+        f"{path}/difference_label": Label(f"orthogonal − perspective {length:.3f} m, drawn × {factor:g}", end),
+    }
 
 
 def _lines(centre: np.ndarray, ends: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -25,7 +25,7 @@ HISTORY = 200
 
 @dataclass(frozen=True, eq=False)
 class Photo:
-    """A photo as the viewer holds it, never the photo itself: small pictures (h, w, 3) uint8 for the scene and for the photo pane.
+    """A photo as the viewer holds it, never the photo itself: small pictures (h, w, 3) uint8 for scene and photo pane.
 
     size: of the file [px], which may be the camera's format reduced by a whole factor.
     """
@@ -62,9 +62,9 @@ class Settings:
     """How images are oriented; the words of the command line."""
 
     robust: bool = False
-    prior: str = "none"
+    prior: Literal["none", "initial", "weighted"] = "none"
     one_pass: bool = False
-    form: str = "depth"
+    form: Literal["depth", "printed"] = "depth"
     recentre: bool = True
 
 
@@ -201,8 +201,11 @@ def wanted(state: State) -> tuple[Job, ...]:
     if state.image in measured:
         todo.insert(len(MODELS), (state.image, ADVICE))
     on = frozenset(state.control())
-    return tuple(Job(image, model, work.revision, work.block, _seen(work.block, image, on), work.settings) for image, model in todo
-                 if not ((s := work.solutions.get((image, model))) and s.revision == work.revision and s.done))
+    return tuple(
+        Job(image, model, work.revision, work.block, _seen(work.block, image, on), work.settings)
+        for image, model in todo
+        if not ((s := work.solutions.get((image, model))) and s.revision == work.revision and s.done)
+    )
 
 
 def _seen(block: Block, image: str, on: frozenset[str]) -> tuple[str, ...]:

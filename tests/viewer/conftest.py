@@ -26,13 +26,17 @@ def make_block(seed: int = 3, sigma: float = 0.5) -> tuple[Block, dict[str, Exte
     names = tuple(f"G{i:02d}" for i in range(1, 17))
     role = tuple("check" if i in (5, 10, 15) else "control" for i in range(16))
     points = Points(names, local + ORIGIN, np.full((16, 3), np.nan), role, tuple(f"group {'ABCD'[i // 4]}" for i in range(16)))
-    truth = {"left": Exterior.from_angles(0.08, -0.12, 0.4, np.array([-40.0, -20.0, 300.0]) + ORIGIN),
-             "right": Exterior.from_angles(-0.1, 0.15, -0.2, np.array([55.0, 25.0, 310.0]) + ORIGIN)}
+    truth = {
+        "left": Exterior.from_angles(0.08, -0.12, 0.4, np.array([-40.0, -20.0, 300.0]) + ORIGIN),
+        "right": Exterior.from_angles(-0.1, 0.15, -0.2, np.array([55.0, 25.0, 310.0]) + ORIGIN),
+    }
     pixels = np.concatenate([project(CAMERA, e, points.xyz) for e in truth.values()]) + rng.normal(0, sigma, (32, 2))
     inside = CAMERA.inside(pixels)
     image, point = np.repeat([0, 1], 16), np.tile(np.arange(16), 2)
     observations = Observations(image[inside], point[inside], pixels[inside], np.full(int(inside.sum()), sigma))
-    return Block("Hand-made", "local", {"uav": CAMERA}, (Image("left", "uav"), Image("right", "uav")), points, observations), truth
+    return Block(
+        "Hand-made", "local", {"uav": CAMERA}, (Image("left", "uav"), Image("right", "uav")), points, observations
+    ), truth
 
 
 def make_state(photo: Path | None = None) -> State:

@@ -51,7 +51,11 @@ def solved() -> State:
 
 def test_everything_is_wanted_once_and_the_chosen_image_first(state: State) -> None:
     jobs = wanted(state)
-    assert [(j.image, j.model) for j in jobs[:3]] == [(state.image, "perspective"), (state.image, "orthogonal"), (state.image, ADVICE)]
+    assert [(j.image, j.model) for j in jobs[:3]] == [
+        (state.image, "perspective"),
+        (state.image, "orthogonal"),
+        (state.image, ADVICE),
+    ]
     assert {j.image for j in jobs} == {"left", "right"}
     assert all(j.model == ADVICE for j in wanted(solve_all(state)))
 
@@ -140,14 +144,27 @@ def test_measuring_moves_an_observation_or_makes_one(solved: State) -> None:
     i, j = block.image_index("left"), block.point_index("G03")
     of = placed.block.observations
     at = np.flatnonzero((of.image == i) & (of.point == j))
-    assert np.allclose(of.pixel[at], [[1234.25, 987.5]]) and len(of) == len(block.observations) + (1 - len(
-        np.flatnonzero((block.observations.image == i) & (block.observations.point == j))))
+    assert np.allclose(of.pixel[at], [[1234.25, 987.5]]) and len(of) == len(block.observations) + (
+        1 - len(np.flatnonzero((block.observations.image == i) & (block.observations.point == j)))
+    )
     assert placed.mark is None and wanted(placed) and update(placed, Undo()).block is block
 
 
-@pytest.mark.parametrize("action", [
-    ChooseImage("nobody"), ChoosePoint("nobody"), SwitchPoint("../../etc"), Set("prior", "guess"), Set("robust", "yes"), Set("points", ()),
-    Show("vectors", float("nan")), Show("dark", 1), Show("no such", True), Set("image", "x")])
+@pytest.mark.parametrize(
+    "action",
+    [
+        ChooseImage("nobody"),
+        ChoosePoint("nobody"),
+        SwitchPoint("../../etc"),
+        Set("prior", "guess"),
+        Set("robust", "yes"),
+        Set("points", ()),
+        Show("vectors", float("nan")),
+        Show("dark", 1),
+        Show("no such", True),
+        Set("image", "x"),
+    ],
+)
 def test_nonsense_from_a_browser_changes_nothing(state: State, action: object) -> None:
     assert update(state, action) is state  # type: ignore[arg-type]
 

@@ -46,15 +46,22 @@ def get(port: int, path: str = "/", **headers: str) -> int:
 
 def socket(port: int, origin: str | None, cookie: str = "") -> int:
     """HTTP status with which a websocket is answered; 101 where it opens."""
+
     async def ask() -> int:
         try:
             protocol = websockets.Subprotocol("viser-v" + viser.__version__)
-            async with connect(f"ws://127.0.0.1:{port}/", origin=None if origin is None else websockets.Origin(origin), subprotocols=[protocol],
-                               additional_headers={"Cookie": cookie} if cookie else {}, max_size=None) as ws:
+            async with connect(
+                f"ws://127.0.0.1:{port}/",
+                origin=None if origin is None else websockets.Origin(origin),
+                subprotocols=[protocol],
+                additional_headers={"Cookie": cookie} if cookie else {},
+                max_size=None,
+            ) as ws:
                 await asyncio.wait_for(ws.recv(), 10)
                 return 101
         except websockets.exceptions.InvalidStatus as error:
             return error.response.status_code
+
     return asyncio.run(ask())
 
 
@@ -94,19 +101,36 @@ def test_no_tunnel_is_opened_whoever_asks(plain: viser.ViserServer) -> None:
     assert isinstance(plain, Server) and plain.request_share_url() is None
 
 
-@pytest.mark.parametrize(("text", "said"), [
-    (json.dumps(["point", "G01", "1"]), ("point", "G01")), (json.dumps(["photo", [0.25, 1], "1"]), ("photo", (0.25, 1.0))),
-    ("", None), ("{}", None), ("[1,2,3]", None), (json.dumps(["photo", [0.5, 2.0], "1"]), None), (json.dumps(["photo", [True, False], "1"]), None),
-    (json.dumps(["photo", ["a", 1], "1"]), None), ('["photo",[NaN,0.5],"1"]', None), (json.dumps(["point", "x" * 5000, "1"]), None),
-    ("[" * 1900, None)])
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (json.dumps(["point", "G01", "1"]), ("point", "G01")),
+        (json.dumps(["photo", [0.25, 1], "1"]), ("photo", (0.25, 1.0))),
+        ("", None),
+        ("{}", None),
+        ("[1,2,3]", None),
+        (json.dumps(["photo", [0.5, 2.0], "1"]), None),
+        (json.dumps(["photo", [True, False], "1"]), None),
+        (json.dumps(["photo", ["a", 1], "1"]), None),
+        ('["photo",[NaN,0.5],"1"]', None),
+        (json.dumps(["point", "x" * 5000, "1"]), None),
+        ("[" * 1900, None),
+    ],
+)
 def test_a_wire_believes_only_what_it_knows(text: str, said: object) -> None:
     assert parse(text) == said
 
 
 def test_ten_thousand_mutated_messages_leave_the_state_valid() -> None:
     rng = np.random.default_rng(11)
-    seeds = [json.dumps(["point", "G01", "1"]), json.dumps(["photo", [0.25, 0.5], "1"]), json.dumps(["row", "3", "1"]),
-             json.dumps(["nudge", "left", "1"]), json.dumps(["magnifier", [0.5, 0.5], "1"]), json.dumps(["image", "right", "1"])]
+    seeds = [
+        json.dumps(["point", "G01", "1"]),
+        json.dumps(["photo", [0.25, 0.5], "1"]),
+        json.dumps(["row", "3", "1"]),
+        json.dumps(["nudge", "left", "1"]),
+        json.dumps(["magnifier", [0.5, 0.5], "1"]),
+        json.dumps(["image", "right", "1"]),
+    ]
     with App(make_state()) as app:
         for _ in range(10_000):
             letters = list(seeds[rng.integers(len(seeds))])

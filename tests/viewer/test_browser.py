@@ -1,4 +1,4 @@
-"""The viewer in a real browser, on the demo project: one server and one browser for all tests, waiting on state, never on time."""
+"""The viewer in a real browser, on the demo project: one server, one browser, waits on state and never on time."""
 
 from __future__ import annotations
 
@@ -67,8 +67,12 @@ def has_pose(app: App, v: ViserPage, path: str) -> bool:
 def test_the_demo_opens(session: Session) -> None:
     app, v = session
     state = app.state
-    v.wait_nodes("/ground/terrain", "/points/control", "/images/" + state.image + "/orthogonal/plane",
-                 *(camera_path(app, m, i.name) for m in ("perspective", "orthogonal") for i in state.block.images))
+    v.wait_nodes(
+        "/ground/terrain",
+        "/points/control",
+        "/images/" + state.image + "/orthogonal/plane",
+        *(camera_path(app, m, i.name) for m in ("perspective", "orthogonal") for i in state.block.images),
+    )
     v.page.get_by_role("table", name="Orientation").wait_for()
     assert v.page.get_by_text(f"{len(state.control())} control points on").is_visible()
     assert all(s.orientation is None or s.orientation.trace.converged for s in state.work.solutions.values())
@@ -78,12 +82,16 @@ def test_the_demo_opens(session: Session) -> None:
 
 
 def expected_pixels(app: App, v: ViserPage) -> np.ndarray:
-    """(n, 2) canvas pixels of the control points by our own projection: the browser's camera as it reports itself, no three.js."""
+    """(n, 2) canvas pixels of the control points by our own projection, from the camera the browser reports."""
     camera = next(iter(app.server.get_clients().values())).camera
     w, x, y, z = camera.wxyz
-    axes = np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                     [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                     [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]])
+    axes = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
     points = app.state.block.points
     xyz = app.state.assets.frame.to_local(points.xyz[np.array(points.role) == "control"])
     seen = (xyz - camera.position) @ axes  # x right, y down, z forward
@@ -96,7 +104,7 @@ def measured_points(app: App, v: ViserPage) -> tuple[np.ndarray, np.ndarray]:
     expected = expected_pixels(app, v)
     picture = np.asarray(v.wait_still(tolerance=0.05, timeout=120), float)
     apart = np.linalg.norm(expected[:, None] - expected[None], axis=-1) + np.diag(np.full(len(expected), np.inf))
-    rows, cols = np.mgrid[:picture.shape[0], :picture.shape[1]]
+    rows, cols = np.mgrid[: picture.shape[0], : picture.shape[1]]
     distances, colours = [], []
     for (x, y), nearest in zip(expected, apart.min(axis=1), strict=True):
         around = np.hypot(cols + 0.5 - x, rows + 0.5 - y) < min(nearest / 2, 18)
@@ -124,7 +132,10 @@ def points_only(session: Session) -> Iterator[Session]:
 def test_points_appear_where_projection_says_and_in_their_colour(points_only: Session) -> None:
     app, v = points_only
     distances, colours = measured_points(app, v)
-    assert len(distances) >= 3 and np.linalg.matrix_rank(expected_pixels(app, v) - expected_pixels(app, v).mean(axis=0), tol=5.0) == 2
+    assert (
+        len(distances) >= 3
+        and np.linalg.matrix_rank(expected_pixels(app, v) - expected_pixels(app, v).mean(axis=0), tol=5.0) == 2
+    )
     assert distances.max() < 3.0 and colours.max() <= 3.0
 
 
@@ -215,8 +226,13 @@ def test_a_click_on_the_marker_switches_the_point_too(points_only: Session) -> N
     apart = np.linalg.norm(pixels[:, None] - pixels[None], axis=-1) + np.diag(np.full(len(pixels), np.inf))
     names = [n for n, r in zip(points.names, points.role, strict=True) if r == "control"]
     box = v.page.evaluate("() => { const b = window.__viserMutable.canvas.getBoundingClientRect(); return [b.left, b.top]; }")
-    free = [j for j in np.argsort(-apart.min(axis=1))
-            if v.page.evaluate("([x, y]) => document.elementFromPoint(x, y)?.tagName === 'CANVAS'", [box[0] + pixels[j, 0], box[1] + pixels[j, 1]])]
+    free = [
+        j
+        for j in np.argsort(-apart.min(axis=1))
+        if v.page.evaluate(
+            "([x, y]) => document.elementFromPoint(x, y)?.tagName === 'CANVAS'", [box[0] + pixels[j, 0], box[1] + pixels[j, 1]]
+        )
+    ]
     v.click_at(box[0] + pixels[free[0], 0], box[1] + pixels[free[0], 1])
     v.wait_until(lambda: app.state.work.off == {names[free[0]]}, "the point to be off")
     v.hotkey("Control+z")
@@ -271,7 +287,10 @@ def test_a_second_browser_sees_and_changes_the_same_state(session: Session) -> N
         v.wait_until(lambda: has_pose(app, second, camera_path(app)), "the frustum in the second browser", 60)
         assert second.pose(camera_path(app)) == v.pose(camera_path(app))
         second.click_button("▶|")
-        v.wait_until(lambda: app.state.row == app.state.last_row and has_pose(app, v, camera_path(app)), "the last row in the first browser")
+        v.wait_until(
+            lambda: app.state.row == app.state.last_row and has_pose(app, v, camera_path(app)),
+            "the last row in the first browser",
+        )
         same = [p.page.get_by_role("table", name="Orientation").inner_text() for p in (v, second)]
         assert same[0] == same[1]
     finally:
@@ -308,7 +327,9 @@ def test_a_point_is_measured_on_the_photo_to_half_a_pixel(session: Session) -> N
         offset = (target - [mark.col, mark.row]) / factor / 49 * box["width"]
         inner = magnifier.locator("circle").bounding_box()
         assert inner
-        v.page.mouse.click(round(inner["x"] + inner["width"] / 2 + offset[0]), round(inner["y"] + inner["height"] / 2 + offset[1]))
+        v.page.mouse.click(
+            round(inner["x"] + inner["width"] / 2 + offset[0]), round(inner["y"] + inner["height"] / 2 + offset[1])
+        )
         v.wait_until(lambda mark=mark: app.state.mark != mark, "the mark to move") if np.abs(offset).max() > 1 else None
     mark = app.state.mark
     assert mark and np.abs(np.array([mark.col, mark.row]) - target).max() < 0.5 * factor
@@ -334,7 +355,7 @@ def test_the_scene_is_downloaded_as_glb(session: Session) -> None:
     link.wait_for()
     with v.page.expect_download() as download:
         link.click()
-    loaded = trimesh.load(Path(download.value.path()), file_type="glb")
+    loaded: Any = trimesh.load(Path(download.value.path()), file_type="glb")
     assert camera_path(app) in loaded.graph.nodes
     v.dismiss_notifications()
 
@@ -359,16 +380,18 @@ def test_dark_and_light(session: Session) -> None:
     v.set_checkbox("Dark", True)
     v.wait_until(lambda: app.state.view.dark, "dark")
     background = "() => getComputedStyle(document.body).backgroundColor"
-    v.page.wait_for_function("() => { const c = getComputedStyle(document.body).backgroundColor.match(/\\d+/g).map(Number);"
-                             " return c[0] + c[1] + c[2] < 300 || window.__viserMutable.canvas.parentElement"
-                             " && getComputedStyle(document.documentElement).colorScheme.includes('dark'); }")
+    v.page.wait_for_function(
+        "() => { const c = getComputedStyle(document.body).backgroundColor.match(/\\d+/g).map(Number);"
+        " return c[0] + c[1] + c[2] < 300 || window.__viserMutable.canvas.parentElement"
+        " && getComputedStyle(document.documentElement).colorScheme.includes('dark'); }"
+    )
     assert v.page.evaluate(background) or light
     v.set_checkbox("Dark", False)
     v.wait_until(lambda: not app.state.view.dark, "light")
 
 
 def test_the_run_opens_in_rerun_beside_the_scene(session: Session) -> None:
-    app, v = session
+    _, v = session
     v.open_tab("Project")
     v.click_button("Open in rerun")
     frame: Any = v.page.locator("iframe[title=rerun]")
@@ -386,10 +409,14 @@ def test_a_damaged_message_of_a_page_does_no_harm(session: Session) -> None:
     app, v = session
     before = app.state.work
     for text in ("", "[]", json.dumps(["point", "../../etc/passwd", "1"]), json.dumps(["row", "999999999", "1"])):
-        v.page.evaluate("([uuid, value]) => window.__viserMutable.sendMessage({type: 'GuiUpdateMessage', uuid, updates: {value}})",
-                        [app._wire._box._impl.uuid, text])
-    v.page.evaluate("([uuid, value]) => window.__viserMutable.sendMessage({type: 'GuiUpdateMessage', uuid, updates: {value}})",
-                    [app._wire._box._impl.uuid, json.dumps(["row", "0", "1"])])
+        v.page.evaluate(
+            "([uuid, value]) => window.__viserMutable.sendMessage({type: 'GuiUpdateMessage', uuid, updates: {value}})",
+            [app._wire._box._impl.uuid, text],
+        )
+    v.page.evaluate(
+        "([uuid, value]) => window.__viserMutable.sendMessage({type: 'GuiUpdateMessage', uuid, updates: {value}})",
+        [app._wire._box._impl.uuid, json.dumps(["row", "0", "1"])],
+    )
     v.wait_until(lambda: app.state.row == 0, "row 0")
     assert app.state.work is before
     app.emit(Step("last"))

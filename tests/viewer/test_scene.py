@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,24 +29,52 @@ def solved() -> State:
 
 def test_every_kind_of_thing_is_there_in_its_colour(solved: State) -> None:
     found = scene(solved)
-    kinds = {"/ground/terrain": Mesh, "/ground/grid": Segments, "/points/control": Segments, "/points/check": Segments,
-             "/images/left/perspective/camera": Frustum, "/images/left/orthogonal/camera": Frustum, "/images/left/truth/camera": Frustum,
-             "/images/left/initial/camera": Frustum, "/images/left/perspective/rays": Segments, "/images/left/perspective/residuals": Segments,
-             "/images/left/orthogonal/parallel": Segments, "/images/left/orthogonal/plane": Plane, "/images/left/perspective/ellipsoid": Ellipsoid,
-             "/images/right/perspective/camera": Frustum, "/images/left/difference": Segments}
+    kinds = {
+        "/ground/terrain": Mesh,
+        "/ground/grid": Segments,
+        "/points/control": Segments,
+        "/points/check": Segments,
+        "/images/left/perspective/camera": Frustum,
+        "/images/left/orthogonal/camera": Frustum,
+        "/images/left/truth/camera": Frustum,
+        "/images/left/initial/camera": Frustum,
+        "/images/left/perspective/rays": Segments,
+        "/images/left/perspective/residuals": Segments,
+        "/images/left/orthogonal/parallel": Segments,
+        "/images/left/orthogonal/plane": Plane,
+        "/images/left/perspective/ellipsoid": Ellipsoid,
+        "/images/right/perspective/camera": Frustum,
+        "/images/left/difference": Segments,
+    }
     assert {p: type(found.get(p)) for p in kinds} == kinds
     colours = {p: getattr(found[p], "colour", None) for p in kinds}
-    assert colours["/images/left/perspective/camera"] == theme.PERSPECTIVE and colours["/images/left/orthogonal/camera"] == theme.ORTHOGONAL
-    assert colours["/images/left/truth/camera"] == theme.foreground(False) and colours["/images/left/initial/camera"] == theme.INITIAL
+    assert (
+        colours["/images/left/perspective/camera"] == theme.PERSPECTIVE
+        and colours["/images/left/orthogonal/camera"] == theme.ORTHOGONAL
+    )
+    assert (
+        colours["/images/left/truth/camera"] == theme.foreground(False)
+        and colours["/images/left/initial/camera"] == theme.INITIAL
+    )
     dark = scene(update(solved, Show("dark", True)))
     assert dark["/images/left/truth/camera"].colour == theme.foreground(True)  # type: ignore[union-attr]
 
 
-@pytest.mark.parametrize(("name", "path"), [
-    ("terrain", "/ground/terrain"), ("rays", "/images/left/perspective/rays"), ("bundle", "/images/left/orthogonal/plane"),
-    ("residuals", "/images/left/perspective/residuals"), ("ellipsoids", "/images/left/perspective/ellipsoid"),
-    ("truth", "/images/left/truth/camera"), ("initial", "/images/left/initial/camera"), ("labels", "/points/names/G01"),
-    ("perspective", "/images/left/perspective/camera"), ("orthogonal", "/images/left/orthogonal/camera")])
+@pytest.mark.parametrize(
+    ("name", "path"),
+    [
+        ("terrain", "/ground/terrain"),
+        ("rays", "/images/left/perspective/rays"),
+        ("bundle", "/images/left/orthogonal/plane"),
+        ("residuals", "/images/left/perspective/residuals"),
+        ("ellipsoids", "/images/left/perspective/ellipsoid"),
+        ("truth", "/images/left/truth/camera"),
+        ("initial", "/images/left/initial/camera"),
+        ("labels", "/points/names/G01"),
+        ("perspective", "/images/left/perspective/camera"),
+        ("orthogonal", "/images/left/orthogonal/camera"),
+    ],
+)
 def test_each_switch_hides_its_thing(solved: State, name: str, path: str) -> None:
     assert path in scene(solved) and path not in scene(update(solved, Show(name, False)))
 
@@ -150,8 +179,13 @@ def test_a_click_means_the_point_under_it_or_the_image(solved: State) -> None:
 def test_projects_with_less_still_make_a_scene(solved: State) -> None:
     block = solved.block
     bare = make_state()
-    nothing = replace(block.observations, image=block.observations.image[:0], point=block.observations.point[:0],
-                      pixel=block.observations.pixel[:0], sigma=block.observations.sigma[:0])
+    nothing = replace(
+        block.observations,
+        image=block.observations.image[:0],
+        point=block.observations.point[:0],
+        pixel=block.observations.pixel[:0],
+        sigma=block.observations.sigma[:0],
+    )
     unmeasured = replace(bare, work=replace(bare.work, block=replace(block, observations=nothing)))
     assert "/points/control" in scene(unmeasured) and "/images/left/perspective/camera" not in scene(unmeasured)
 
@@ -162,9 +196,9 @@ def test_the_scene_leaves_as_glb_and_ply(solved: State) -> None:
     import trimesh
 
     found = scene(solved)
-    back = trimesh.load(io.BytesIO(glb(found)), file_type="glb")
+    back: Any = trimesh.load(io.BytesIO(glb(found)), file_type="glb")
     assert "/ground/terrain" in back.graph.nodes and "/images/left/perspective/camera" in back.graph.nodes
-    mesh = trimesh.load(io.BytesIO(ply(found)), file_type="ply")
+    mesh: Any = trimesh.load(io.BytesIO(ply(found)), file_type="ply")
     terrain = found["/ground/terrain"]
     assert isinstance(terrain, Mesh) and len(mesh.faces) > len(terrain.faces)
     low, high = mesh.bounds

@@ -19,12 +19,19 @@ class OrientationPanel:
 
     def __init__(self, gui: viser.GuiApi, emit: Emit, wire: Wire, state: State) -> None:
         self._wire, self._emit = wire, emit
-        self._image = gui.add_dropdown("Image", _names(state), hint="The photo to be oriented; a click on its frustum chooses it too.")
+        self._image = gui.add_dropdown(
+            "Image", _names(state), hint="The photo to be oriented; a click on its frustum chooses it too."
+        )
         bind(self._image, emit, ChooseImage)
-        self._group = gui.add_dropdown("GCPs used", (EVERY, SOME), hint="All ground control points, one cluster (column group of points.csv), "
-                                                                        "or your own choice by clicking points.")
+        self._group = gui.add_dropdown(
+            "GCPs used",
+            (EVERY, SOME),
+            hint="All ground control points, one cluster (column group of points.csv), or your own choice by clicking points.",
+        )
         bind(self._group, emit, lambda value: UsePoints("" if value == EVERY else value) if value != SOME else None)
-        buttons = gui.add_button_group("Solution", BUTTONS, hint="Every change solves at once; Ctrl+Z and Ctrl+Y undo and redo changes.")
+        buttons = gui.add_button_group(
+            "Solution", BUTTONS, hint="Every change solves at once; Ctrl+Z and Ctrl+Y undo and redo changes."
+        )
         actions = dict(zip(BUTTONS, (Solve(), Cancel(), Undo(), Redo()), strict=True))
 
         @buttons.on_click
@@ -35,9 +42,13 @@ class OrientationPanel:
         self._table = Html(gui)
         self._words = Html(gui)
         self._points = Html(gui)
-        self._point = gui.add_dropdown("Point", ("none", *state.block.points.names), hint="Chosen point, ringed in the scene and on the photo.")
+        self._point = gui.add_dropdown(
+            "Point", ("none", *state.block.points.names), hint="Chosen point, ringed in the scene and on the photo."
+        )
         bind(self._point, emit, lambda value: ChoosePoint(None if value == "none" else value))
-        self._switch = gui.add_button("Switch point on or off", hint="Take the chosen point into the solution or out of it; it is solved at once.")
+        self._switch = gui.add_button(
+            "Switch point on or off", hint="Take the chosen point into the solution or out of it; it is solved at once."
+        )
         self._switch.on_click(self._switched)
         self._settings(gui, emit)
         for label, key, action in (("Undo", "Z", Undo()), ("Redo", "Y", Redo())):
@@ -48,15 +59,31 @@ class OrientationPanel:
     def _settings(self, gui: viser.GuiApi, emit: Emit) -> None:
         with gui.add_folder("How to solve", expand_by_default=False):
             self._robust = gui.add_checkbox("Robust", False, hint="Find and leave out blunders in the observations.")
-            self._prior = gui.add_dropdown("Prior", PRIORS, hint="Onboard GPS/IMU of the project: not used, used as the start, or as weighted observations.")
-            self._one_pass = gui.add_checkbox("Orthogonal: one pass", False, hint="Transform once with the approximate orientation instead of to the fixed point.")
-            self._form = gui.add_dropdown("Orthogonal: form", FORMS, hint="Depth form, valid for any attitude, or the papers' printed form.")
-            self._recentre = gui.add_checkbox("Orthogonal: re-centre", True, hint="Turn the bundle so that its mean ray is the projecting direction.")
+            self._prior = gui.add_dropdown(
+                "Prior", PRIORS, hint="Onboard GPS/IMU of the project: not used, used as the start, or as weighted observations."
+            )
+            self._one_pass = gui.add_checkbox(
+                "Orthogonal: one pass",
+                False,
+                hint="Transform once with the approximate orientation instead of to the fixed point.",
+            )
+            self._form = gui.add_dropdown(
+                "Orthogonal: form", FORMS, hint="Depth form, valid for any attitude, or the papers' printed form."
+            )
+            self._recentre = gui.add_checkbox(
+                "Orthogonal: re-centre", True, hint="Turn the bundle so that its mean ray is the projecting direction."
+            )
         for name, handle in self._controls().items():
             bind(handle, emit, lambda value, name=name: Set(name, value))
 
     def _controls(self) -> dict[str, viser.GuiInputHandle]:
-        return {"robust": self._robust, "prior": self._prior, "one_pass": self._one_pass, "form": self._form, "recentre": self._recentre}
+        return {
+            "robust": self._robust,
+            "prior": self._prior,
+            "one_pass": self._one_pass,
+            "form": self._form,
+            "recentre": self._recentre,
+        }
 
     def _switched(self, event: viser.GuiEvent) -> None:
         if self._point.value != "none":
@@ -66,8 +93,7 @@ class OrientationPanel:
         put(self._image, state.image)
         groups = sorted(set(state.block.points.group) - {""})
         options = (EVERY, *groups, SOME)
-        if self._group.options != options:
-            self._group.options = options
+        prop(self._group, "options", options)
         put(self._group, chosen_group(state))
         put(self._point, state.point or "none")
         prop(self._switch, "disabled", state.point is None)

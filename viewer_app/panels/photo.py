@@ -28,10 +28,14 @@ class PhotoPanel:
         self._wire, self._crop = wire, crop
         self._picture = Html(gui)  # the picture itself, sent once per photo
         self._overlay = Html(gui)
-        self._vectors = gui.add_slider("Photo residuals ×", 1.0, 1000.0, 1.0, 50.0, hint="Exaggeration of the residual vectors on the photo.")
+        self._vectors = gui.add_slider(
+            "Photo residuals ×", 1.0, 1000.0, 1.0, 50.0, hint="Exaggeration of the residual vectors on the photo."
+        )
         bind(self._vectors, emit, lambda value: Show("photo_vectors", float(value)))
         self._magnifier = Html(gui)
-        self._place = gui.add_button("Place mark", hint="The mark becomes the observation of its point; everything is solved again.", color="green")
+        self._place = gui.add_button(
+            "Place mark", hint="The mark becomes the observation of its point; everything is solved again.", color="green"
+        )
         self._place.on_click(lambda _: emit(Place()))
         self._unmark = gui.add_button("Drop mark", hint="Forget the mark.")
         self._unmark.on_click(lambda _: emit(Unmark()))
@@ -63,15 +67,22 @@ def photo_html(state: State, wire: Wire) -> str:
     shapes = _observations(state, unit) + ("" if seen is None else _residuals(seen, scale, unit))
     if state.mark is not None:
         x, y, r = state.mark.col + 0.5, state.mark.row + 0.5, 9 * unit
-        shapes += (f'<path d="M{x - r} {y}h{2 * r}M{x} {y - r}v{2 * r}" stroke="#fff" stroke-width="{2.4 * unit}"/>'
-                   f'<path d="M{x - r} {y}h{2 * r}M{x} {y - r}v{2 * r}" stroke="#000" stroke-width="{unit}"/>')
+        shapes += (
+            f'<path d="M{x - r} {y}h{2 * r}M{x} {y - r}v{2 * r}" stroke="#fff" stroke-width="{2.4 * unit}"/>'
+            f'<path d="M{x - r} {y}h{2 * r}M{x} {y - r}v{2 * r}" stroke="#000" stroke-width="{unit}"/>'
+        )
     background = "background:var(--collinea-photo) 0 0/100% 100%" if has else "background:rgba(128,128,128,.2)"
-    surface = wire.surface("photo").replace('style="cursor:crosshair"', f'style="cursor:crosshair;display:block;width:100%;{background}"')
+    surface = wire.surface("photo").replace(
+        'style="cursor:crosshair"', f'style="cursor:crosshair;display:block;width:100%;{background}"'
+    )
     target = f"click to mark <b>{esc(state.point)}</b>" if state.point else "choose a point, then click the photo to mark it"
     missing = "" if has else f"<div {MUTED}>No photo: measurements only.</div>"
-    return (f'<div {BOX}><div>{esc(state.image)} <span {MUTED}>{camera.width} × {camera.height} px ·</span> {target}</div>{missing}'
-            f'<svg role="img" aria-label="Photo {esc(state.image)}" viewBox="0 0 {camera.width} {camera.height}" {surface}>{shapes}</svg>'
-            f"<div {MUTED}>circle: observed · {swatch(RESIDUAL)}residual × {scale:g}</div></div>")
+    return (
+        f"<div {BOX}><div>{esc(state.image)} <span {MUTED}>{camera.width} × {camera.height} px ·</span> {target}</div>{missing}"
+        f'<svg role="img" aria-label="Photo {esc(state.image)}" viewBox="0 0 {camera.width} {camera.height}" '
+        f"{surface}>{shapes}</svg>"
+        f"<div {MUTED}>circle: observed · {swatch(RESIDUAL)}residual × {scale:g}</div></div>"
+    )
 
 
 def _observations(state: State, unit: float) -> str:
@@ -81,8 +92,10 @@ def _observations(state: State, unit: float) -> str:
         name, (col, row) = block.points.names[j], block.observations.pixel[r]
         colour = css(INITIAL if name in state.work.off else CONTROL if block.points.role[j] == "control" else CHECK)
         size = (6.5 if name == state.point else 3.5) * unit
-        shapes.append(f'<circle data-point="{esc(name)}" cx="{col + 0.5:.2f}" cy="{row + 0.5:.2f}" r="{size:.2f}" fill="none" '
-                      f'stroke="{colour}" stroke-width="{1.4 * unit:.2f}"><title>{esc(name)}</title></circle>')
+        shapes.append(
+            f'<circle data-point="{esc(name)}" cx="{col + 0.5:.2f}" cy="{row + 0.5:.2f}" r="{size:.2f}" fill="none" '
+            f'stroke="{colour}" stroke-width="{1.4 * unit:.2f}"><title>{esc(name)}</title></circle>'
+        )
     return "".join(shapes)
 
 
@@ -97,8 +110,10 @@ def _residuals(seen: Sight, scale: float, unit: float) -> str:
     shapes = []
     for (col, row), (dx, dy) in zip(seen.projected, seen.residuals * scale, strict=True):
         if np.isfinite([col, row, dx, dy]).all():
-            shapes.append(f'<line x1="{col + 0.5:.2f}" y1="{row + 0.5:.2f}" x2="{col + 0.5 + dx:.2f}" y2="{row + 0.5 + dy:.2f}" '
-                          f'stroke="{css(RESIDUAL)}" stroke-width="{1.4 * unit:.2f}"/>')
+            shapes.append(
+                f'<line x1="{col + 0.5:.2f}" y1="{row + 0.5:.2f}" x2="{col + 0.5 + dx:.2f}" y2="{row + 0.5 + dy:.2f}" '
+                f'stroke="{css(RESIDUAL)}" stroke-width="{1.4 * unit:.2f}"/>'
+            )
     return "".join(shapes)
 
 
@@ -108,14 +123,20 @@ def magnifier_html(state: State, photo: Photo, wire: Wire, crop: Crop) -> str:
     camera = state.block.camera_of(state.image)
     pixels, x, y = crop(photo, (camera.width, camera.height), state.mark.col, state.mark.row, HALF)
     side, x, y = 2 * HALF + 1, x + 0.5, y + 0.5
-    surface = wire.surface("magnifier").replace('style="cursor:crosshair"', 'style="cursor:crosshair;display:block;width:100%;max-width:400px"')
-    arrows = " ".join(f'<button type="button" {wire.attributes("nudge", d, f"move the mark {w} by a tenth of a pixel")}>{s}</button>'
-                      for d, s, w in (("left", "←", "left"), ("right", "→", "right"), ("up", "↑", "up"), ("down", "↓", "down")))
-    return (f'<div {BOX}><div><b>{esc(state.mark.point)}</b> at col {state.mark.col:.2f}, row {state.mark.row:.2f} px {arrows}</div>'
-            f'<svg role="img" aria-label="Magnifier" viewBox="0 0 {side} {side}" {surface}>'
-            f'<image href="{jpeg(pixels, 92)}" width="{side}" height="{side}" style="image-rendering:pixelated"/>'
-            f'<path d="M0 {y:.3f}H{x - 1.5:.3f}M{x + 1.5:.3f} {y:.3f}H{side}M{x:.3f} 0V{y - 1.5:.3f}M{x:.3f} {y + 1.5:.3f}V{side}" '
-            f'stroke="#f0f" stroke-width=".18"/><circle cx="{x:.3f}" cy="{y:.3f}" r=".25" fill="#f0f"/></svg></div>')
+    surface = wire.surface("magnifier").replace(
+        'style="cursor:crosshair"', 'style="cursor:crosshair;display:block;width:100%;max-width:400px"'
+    )
+    arrows = " ".join(
+        f'<button type="button" {wire.attributes("nudge", d, f"move the mark {w} by a tenth of a pixel")}>{s}</button>'
+        for d, s, w in (("left", "←", "left"), ("right", "→", "right"), ("up", "↑", "up"), ("down", "↓", "down"))
+    )
+    return (
+        f"<div {BOX}><div><b>{esc(state.mark.point)}</b> at col {state.mark.col:.2f}, row {state.mark.row:.2f} px {arrows}</div>"
+        f'<svg role="img" aria-label="Magnifier" viewBox="0 0 {side} {side}" {surface}>'
+        f'<image href="{jpeg(pixels, 92)}" width="{side}" height="{side}" style="image-rendering:pixelated"/>'
+        f'<path d="M0 {y:.3f}H{x - 1.5:.3f}M{x + 1.5:.3f} {y:.3f}H{side}M{x:.3f} 0V{y - 1.5:.3f}M{x:.3f} {y + 1.5:.3f}V{side}" '
+        f'stroke="#f0f" stroke-width=".18"/><circle cx="{x:.3f}" cy="{y:.3f}" r=".25" fill="#f0f"/></svg></div>'
+    )
 
 
 def magnified(state: State, photo: Photo, u: float, v: float) -> tuple[float, float]:

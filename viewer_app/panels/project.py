@@ -12,16 +12,27 @@ from ..bridge import Wire
 from ..state import MODELS, State
 from .widgets import BOX, MUTED, Emit, Html, bind, esc, prop, put, swatch, table
 
-SHOWN = (("terrain", "Terrain", "The project's DEM, drawn half a symbol lower so that symbols stay visible, or a plane at the mean height of the GCPs."),
-         ("labels", "Names", "Names of points and images."),
-         ("photos", "Photos", "The photos in the image planes of the perspective solutions."),
-         ("perspective", "Perspective", "Perspective solutions."), ("orthogonal", "Orthogonal", "Orthogonal solutions."),
-         ("rays", "Rays", "From the chosen image's centre through its image points to the ground."),
-         ("bundle", "Parallel bundle", "The orthogonal model: parallel rays to the average plane, then the plane seen in perspective."),
-         ("residuals", "Residuals", "At each GCP, from the point to its observed ray, exaggerated."),
-         ("ellipsoids", "Ellipsoids", "95 % error ellipsoids of the centres, a priori, exaggerated."),
-         ("initial", "Initial value", "Where the adjustment of the chosen image began."),
-         ("truth", "Truth", "The true orientations of a simulated project."))
+SHOWN = (
+    (
+        "terrain",
+        "Terrain",
+        "The project's DEM, drawn half a symbol lower so that symbols stay visible, or a plane at the mean height of the GCPs.",
+    ),
+    ("labels", "Names", "Names of points and images."),
+    ("photos", "Photos", "The photos in the image planes of the perspective solutions."),
+    ("perspective", "Perspective", "Perspective solutions."),
+    ("orthogonal", "Orthogonal", "Orthogonal solutions."),
+    ("rays", "Rays", "From the chosen image's centre through its image points to the ground."),
+    (
+        "bundle",
+        "Parallel bundle",
+        "The orthogonal model: parallel rays to the average plane, then the plane seen in perspective.",
+    ),
+    ("residuals", "Residuals", "At each GCP, from the point to its observed ray, exaggerated."),
+    ("ellipsoids", "Ellipsoids", "95 % error ellipsoids of the centres, a priori, exaggerated."),
+    ("initial", "Initial value", "Where the adjustment of the chosen image began."),
+    ("truth", "Truth", "The true orientations of a simulated project."),
+)
 Way = Callable[[viser.ClientHandle | None], None]
 
 
@@ -47,8 +58,12 @@ class ScenePanel:
     """What the scene shows and how much it exaggerates."""
 
     def __init__(self, gui: viser.GuiApi, emit: Emit) -> None:
-        self._vectors = gui.add_slider("Residuals ×", 1.0, 1000.0, 1.0, 200.0, hint="Exaggeration of the residual vectors at the GCPs, in object space.")
-        self._ellipsoid = gui.add_slider("Ellipsoids ×", 1.0, 1000.0, 1.0, 100.0, hint="Exaggeration of the 95 % error ellipsoids.")
+        self._vectors = gui.add_slider(
+            "Residuals ×", 1.0, 1000.0, 1.0, 200.0, hint="Exaggeration of the residual vectors at the GCPs, in object space."
+        )
+        self._ellipsoid = gui.add_slider(
+            "Ellipsoids ×", 1.0, 1000.0, 1.0, 100.0, hint="Exaggeration of the 95 % error ellipsoids."
+        )
         bind(self._vectors, emit, lambda value: Show("vectors", float(value)))
         bind(self._ellipsoid, emit, lambda value: Show("ellipsoid", float(value)))
         self._shown = {name: gui.add_checkbox(label, True, hint=hint) for name, label, hint in SHOWN}
@@ -68,8 +83,12 @@ def project_html(state: State, wire: Wire) -> str:
     block, frame = state.block, state.assets.frame
     roles = [f"{block.points.role.count(r)} {r}" for r in ("control", "check", "tie") if r in block.points.role]
     origin = ", ".join(f"{v:.0f}" for v in frame.origin)
-    facts = [f"<b>{esc(block.name)}</b>", f"{len(block.images)} images, {len(block.points)} points ({', '.join(roles) or 'none'}), "
-             f"{len(block.observations)} observations", f"crs {esc(block.crs)}, metres; scene origin {origin}"]
+    facts = [
+        f"<b>{esc(block.name)}</b>",
+        f"{len(block.images)} images, {len(block.points)} points ({', '.join(roles) or 'none'}), "
+        f"{len(block.observations)} observations",
+        f"crs {esc(block.crs)}, metres; scene origin {origin}",
+    ]
     for name, c in block.cameras.items():
         facts.append(f"camera {esc(name)}: c {c.c:g} mm, {c.width} × {c.height} px of {c.pitch[0] * 1000:.4g} µm")
     rows = []
@@ -78,9 +97,16 @@ def project_html(state: State, wire: Wire) -> str:
         good = [s.orientation.rms_px if (s := state.solution(m, image.name)) and s.orientation else None for m in MODELS]
         state_of = [f"{v:.2f}" if v is not None else "–" for v in good]
         weight = 'style="font-weight:600"' if image.name == state.image else ""
-        rows.append((f"{wire.attributes('image', image.name, 'choose ' + image.name)} {weight}", (esc(image.name), str(seen), *state_of)))
+        rows.append(
+            (f"{wire.attributes('image', image.name, 'choose ' + image.name)} {weight}", (esc(image.name), str(seen), *state_of))
+        )
     head = ("image", "points", *(f"{swatch(theme.MODELS[m])}rms px" for m in MODELS))
-    legend = " ".join(f'<span style="white-space:nowrap;margin-right:.8em">{swatch(c)}{esc(w)}</span>' for w, c in theme.legend(state.view.dark).items())
+    legend = " ".join(
+        f'<span style="white-space:nowrap;margin-right:.8em">{swatch(c)}{esc(w)}</span>'
+        for w, c in theme.legend(state.view.dark).items()
+    )
     lines = "".join(f"<div>{f}</div>" for f in facts)
-    return (f"<div {BOX}>{lines}<div style=\"height:6px\"></div>{table(head, rows, 'Images', 200)}<div style=\"height:6px\"></div>"
-            f"<div {MUTED}>Legend</div><div>{legend}</div></div>")
+    return (
+        f'<div {BOX}>{lines}<div style="height:6px"></div>{table(head, rows, "Images", 200)}<div style="height:6px"></div>'
+        f"<div {MUTED}>Legend</div><div>{legend}</div></div>"
+    )

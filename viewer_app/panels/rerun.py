@@ -14,8 +14,8 @@ import viser
 from solvers import PhotogrammetryError
 
 from ..actions import Action, Say
-from .widgets import esc
 from ..state import MODELS, State
+from .widgets import esc
 
 
 class RerunPanel:
@@ -68,9 +68,11 @@ class RerunPanel:
             self._panel.set_width(620)
             with self._panel.add_tab("Close"):
                 self._gui.add_button("Close rerun", hint="Close this panel.").on_click(lambda _: self._hide())
-        self._html.content = (f'<iframe title="rerun" src="{esc(url)}" style="width:100%;height:calc(100vh - 90px);border:0"></iframe>'
-                              f'<div style="padding:2px 12px;font-size:12px"><a href="{esc(url)}" target="_blank" rel="noreferrer">'
-                              "Open in a tab of its own</a></div>")
+        self._html.content = (
+            f'<iframe title="rerun" src="{esc(url)}" style="width:100%;height:calc(100vh - 90px);border:0"></iframe>'
+            f'<div style="padding:2px 12px;font-size:12px"><a href="{esc(url)}" target="_blank" rel="noreferrer">'
+            "Open in a tab of its own</a></div>"
+        )
 
     def _hide(self) -> None:
         with self._lock:

@@ -43,11 +43,17 @@ def orientation_table(state: State) -> str:
         cells.append("" if difference is None else f"{difference:+.{places}f}")
         rows.append(("", cells))
     head = ("", f"{swatch(COLOURS['perspective'])}perspective", "1σ", f"{swatch(COLOURS['orthogonal'])}orthogonal", "1σ", "o − p")
-    sigma0 = [f"{s.orientation.sigma0:.3f}" if (s := state.solution(m)) and s.orientation and s.orientation.sigma0 is not None else "–" for m in MODELS]
+    sigma0 = [
+        f"{s.orientation.sigma0:.3f}" if (s := state.solution(m)) and s.orientation and s.orientation.sigma0 is not None else "–"
+        for m in MODELS
+    ]
     rms = [f"{s.orientation.rms_px:.3f}" if (s := state.solution(m)) and s.orientation else "–" for m in MODELS]
     used = [f"{int(s.orientation.used.sum())}" if (s := state.solution(m)) and s.orientation else "–" for m in MODELS]
-    rows += [("", ("σ0", sigma0[0], "", sigma0[1], "", "")), ("", (f"rms <span {MUTED}>px</span>", rms[0], "", rms[1], "", "")),
-             ("", ("GCPs", used[0], "", used[1], "", ""))]
+    rows += [
+        ("", ("σ0", sigma0[0], "", sigma0[1], "", "")),
+        ("", (f"rms <span {MUTED}>px</span>", rms[0], "", rms[1], "", "")),
+        ("", ("GCPs", used[0], "", used[1], "", "")),
+    ]
     return f"<div {BOX}>{table(head, rows, 'Orientation')}</div>"
 
 
@@ -71,15 +77,20 @@ def words(state: State) -> str:
         if solution.orientation:
             lines += [f"<div>{swatch(COLOURS[model])}{esc(w)}</div>" for w in solution.orientation.warnings]
             if solution.orientation.rejected:
-                lines.append(f"<div>{swatch(COLOURS[model])}rejected as blunders: {esc(', '.join(solution.orientation.rejected))}</div>")
+                lines.append(
+                    f"<div>{swatch(COLOURS[model])}rejected as blunders: {esc(', '.join(solution.orientation.rejected))}</div>"
+                )
     advised = state.solution(ADVICE)
     if advised and advised.advice:
         lines.append(f"<div><b>Advice: {esc(advised.advice.model)}.</b> {esc('; '.join(advised.advice.reasons))}.</div>")
     lines += _unsaid(state)
     degrees = next((s.orientation.dof for m in MODELS if (s := state.solution(m)) and s.orientation), None)
     if degrees is not None and state.view.ellipsoids:
-        lines.append(f"<div {MUTED}>Ellipsoids of the centres: 95 %, factor {CHI_95:.3f} (√χ² with 3 degrees of freedom), a priori from the given "
-                     f"standard errors, drawn × {state.view.ellipsoid:g}; redundancy of the adjustment {degrees}.</div>")
+        lines.append(
+            f"<div {MUTED}>Ellipsoids of the centres: 95 %, factor {CHI_95:.3f} (√χ² with 3 degrees of freedom), a priori from "
+            f"the given "
+            f"standard errors, drawn × {state.view.ellipsoid:g}; redundancy of the adjustment {degrees}.</div>"
+        )
     return f'<div {BOX}><div role="status" aria-label="Messages">{"".join(lines)}</div></div>'
 
 
@@ -91,17 +102,21 @@ def _unsaid(state: State) -> list[str]:
     seen = int((block.observations.image == block.image_index(state.image)).sum())
     said = []
     if not seen:
-        said.append("No point is measured in this image yet: choose a point, open the tab Photo, click where you see it and place the mark.")
+        said.append(
+            "No point is measured in this image yet: choose a point, open the tab Photo, click where you see it, place the mark."
+        )
     if state.image not in state.assets.truth and state.assets.truth:
         said.append("The simulation knows no truth for this image.")
-    missing = sum(1 for i in block.images if state.exterior("perspective", i.name) is None and state.exterior("orthogonal", i.name) is None)
+    missing = sum(
+        1 for i in block.images if state.exterior("perspective", i.name) is None and state.exterior("orthogonal", i.name) is None
+    )
     if missing and not wanted(state):
         said.append(f"{missing} of {len(block.images)} images have no solution and are not drawn.")
     return [f"<div {MUTED}>{esc(s)}</div>" for s in said]
 
 
 def point_table(state: State, wire: Wire) -> str:
-    """Every control and check point: on or off, and its residuals in the chosen image by both models. A row switches its point."""
+    """Every control and check point: on or off, its residuals in the chosen image by both models. A row switches its point."""
     seen = [sight(state, model) for model in MODELS]
     points, rows = state.block.points, []
     for name, role, group in zip(points.names, points.role, points.group or ("",) * len(points), strict=True):
@@ -111,14 +126,17 @@ def point_table(state: State, wire: Wire) -> str:
         mark = swatch(INITIAL if off else CONTROL if role == "control" else CHECK)
         weight = "font-weight:600;" if name == state.point else ""
         style = f'style="{weight}{"opacity:.5;" if off else ""}cursor:pointer"'
-        attributes = wire.attributes("point", name, f"{name}: switch {'on' if off else 'off'}").replace('style="cursor:pointer"', "")
+        attributes = wire.attributes("point", name, f"{name}: switch {'on' if off else 'off'}").replace(
+            'style="cursor:pointer"', ""
+        )
         cells = [f"{'☐' if off else '☑'} {mark}{esc(name)}", f"{esc(role)}{' · ' + esc(group) if group else ''}"]
         for s in seen:
             cells += _residual(s, name)
-        rows.append((f"{attributes} {style} data-point=\"{esc(name)}\"", cells))
+        rows.append((f'{attributes} {style} data-point="{esc(name)}"', cells))
     head = ("point", "role", *(f"{swatch(COLOURS[m])}v {axis}" for m in MODELS for axis in ("col", "row")))
     on = len(state.control())
-    title = f"<div><b>{on} control points on</b> <span {MUTED}>· residuals in px, observed − projected · click a row to switch its point</span></div>"
+    hint = "residuals in px, observed − projected · click a row to switch its point"
+    title = f"<div><b>{on} control points on</b> <span {MUTED}>· {hint}</span></div>"
     return f"<div {BOX}>{title}{table(head, rows, 'Ground control points', 230)}</div>"
 
 

@@ -20,9 +20,13 @@ class TracePanel:
 
     def __init__(self, gui: viser.GuiApi, emit: Emit, wire: Wire) -> None:
         self._wire = wire
-        self._slider = gui.add_slider("Iteration", 0, 1, 1, 0, hint="Row of both traces: 0 is the start. Keys: left, right, Home, End.")
+        self._slider = gui.add_slider(
+            "Iteration", 0, 1, 1, 0, hint="Row of both traces: 0 is the start. Keys: left, right, Home, End."
+        )
         bind(self._slider, emit, lambda value: GoTo(round(value)))
-        buttons = gui.add_button_group("Go to", BUTTONS, hint="First, previous, play or pause, next, last row. Keys: Home, left, space, right, End.")
+        buttons = gui.add_button_group(
+            "Go to", BUTTONS, hint="First, previous, play or pause, next, last row. Keys: Home, left, space, right, End."
+        )
         actions = dict(zip(BUTTONS, (Step("first"), Step("previous"), Play(), Step("next"), Step("last")), strict=True))
 
         @buttons.on_click
@@ -33,8 +37,12 @@ class TracePanel:
         self._speed = gui.add_slider("Rows per second", 0.5, 20.0, 0.5, 2.0, hint="Speed of play, rows per second.")
         bind(self._speed, emit, lambda value: Speed(float(value)))
         self._text = Html(gui)
-        keys: tuple[tuple[str, str, str], ...] = (("First row", "home", "first"), ("Previous row", "arrowleft", "previous"),
-                                                  ("Next row", "arrowright", "next"), ("Last row", "end", "last"))
+        keys: tuple[tuple[str, str, str], ...] = (
+            ("First row", "home", "first"),
+            ("Previous row", "arrowleft", "previous"),
+            ("Next row", "arrowright", "next"),
+            ("Last row", "end", "last"),
+        )
         assert {k[2] for k in keys} == set(STEPS)
         for label, key, to in keys:
             gui.add_command(label, hotkey=key).on_trigger(lambda _, to=to: emit(Step(to)))  # type: ignore[arg-type]
@@ -56,8 +64,10 @@ class TracePanel:
                 continue
             end = f" · {_stop(row.stop)}" if row.stop else ""
             sigma0 = f"{row.sigma0:.4g}" if row.sigma0 == row.sigma0 else "–"
-            lines.append(f"<div>{swatch(COLOURS[model])}{model} row {row.index}: σ0 {sigma0}, cost {row.cost:.5g}"
-                         f"<span {MUTED}>{end}</span></div>")
+            lines.append(
+                f"<div>{swatch(COLOURS[model])}{model} row {row.index}: σ0 {sigma0}, cost {row.cost:.5g}"
+                f"<span {MUTED}>{end}</span></div>"
+            )
         playing = "<div>playing ▶</div>" if state.playing else ""
         return "".join(lines) + playing or f"<div {MUTED}>No iteration yet.</div>"
 
@@ -79,5 +89,10 @@ class TracePanel:
 
 
 def _stop(reason: str) -> str:
-    return {"step": "converged (step)", "gradient": "converged (gradient)", "cost": "converged (cost)",
-            "max_iterations": "stopped: too many iterations", "diverged": "diverged"}.get(reason, reason)
+    return {
+        "step": "converged (step)",
+        "gradient": "converged (gradient)",
+        "cost": "converged (cost)",
+        "max_iterations": "stopped: too many iterations",
+        "diverged": "diverged",
+    }.get(reason, reason)

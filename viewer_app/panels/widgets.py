@@ -55,8 +55,10 @@ def css(colour: Colour) -> str:
 
 
 def swatch(colour: Colour) -> str:
-    return (f'<span style="display:inline-block;width:.7em;height:.7em;border-radius:2px;background:{css(colour)};'
-            'margin-right:.35em"></span>')
+    return (
+        f'<span style="display:inline-block;width:.7em;height:.7em;border-radius:2px;background:{css(colour)};'
+        'margin-right:.35em"></span>'
+    )
 
 
 BOX = 'style="padding:2px 12px 8px;font-size:12px;line-height:1.45"'
@@ -66,13 +68,22 @@ MUTED = 'style="opacity:.65"'
 def table(head: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]], caption: str, height: int | None = None) -> str:
     """An HTML table; each row is (attributes of its <tr>, cells), the first cell is the row's heading. Cells are HTML already."""
     cell = "padding:1px 4px;white-space:nowrap;text-align:"
-    first = "".join(f'<th scope="col" style="{cell}{"left" if i == 0 else "right"};font-weight:600;position:sticky;top:0;'
-                    f'background:var(--mantine-color-body)">{h}</th>' for i, h in enumerate(head))
-    body = "".join(f'<tr {attributes}>' + "".join(f'<td style="{cell}{"left" if i == 0 else "right"}">{c}</td>' for i, c in enumerate(cells))
-                   + "</tr>" for attributes, cells in rows)
+    first = "".join(
+        f'<th scope="col" style="{cell}{"left" if i == 0 else "right"};font-weight:600;position:sticky;top:0;'
+        f'background:var(--mantine-color-body)">{h}</th>'
+        for i, h in enumerate(head)
+    )
+    body = "".join(
+        f"<tr {attributes}>"
+        + "".join(f'<td style="{cell}{"left" if i == 0 else "right"}">{c}</td>' for i, c in enumerate(cells))
+        + "</tr>"
+        for attributes, cells in rows
+    )
     limit = f"max-height:{height}px;overflow:auto;" if height else "overflow-x:auto;"
-    return (f'<div style="{limit}"><table aria-label="{esc(caption)}" style="border-collapse:collapse;width:100%;font-size:11px;'
-            f'font-variant-numeric:tabular-nums"><thead><tr>{first}</tr></thead><tbody>{body}</tbody></table></div>')
+    return (
+        f'<div style="{limit}"><table aria-label="{esc(caption)}" style="border-collapse:collapse;width:100%;font-size:11px;'
+        f'font-variant-numeric:tabular-nums"><thead><tr>{first}</tr></thead><tbody>{body}</tbody></table></div>'
+    )
 
 
 def decimals(sigma: float | None, most: int = 6) -> int:
