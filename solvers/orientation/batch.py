@@ -185,8 +185,8 @@ def three_point(points: np.ndarray, xy: np.ndarray, c: float) -> Candidates:
     Y, mean = _reduced(points, xy, c, None)
     if Y.shape[1] != 3:
         raise ValueError(f"three_point takes three points, {Y.shape[1]} came")
-    R, t = np.empty((8, 3, 3)), np.empty((8, 3))
-    count = kernels.three_point(Y, 0, 1, 2, R, t, *np.empty((3, 3, 3)), np.empty(4))
+    R, t, small = np.empty((8, 3, 3)), np.empty((8, 3)), np.empty((3, 3, 3))
+    count = kernels.three_point(Y, 0, 1, 2, R, t, small[0], small[1], small[2], np.empty(4))
     if count == 0:
         raise DegenerateGeometry("three-point resection: no pose in front of the camera, or the three points lie on one line")
     found = _candidates(R[:count], t[:count], np.zeros(count), mean)

@@ -134,7 +134,7 @@ def test_three_points_return_every_root():
     r = resect_many(CAMERA, X, uv, sigma_px=SIGMA)
     assert np.isnan(r.sigma0).all()
     for b in np.flatnonzero(np.isfinite(r.centre[:, 0])):
-        roots = r.solutions(b)
+        roots = r.solutions(int(b))
         assert np.linalg.norm(roots.centre - C[b], axis=1).min() < 1e-3
         assert len(roots) == 1 or r.status[b] in (Status.AMBIGUOUS, Status.WEAK)
         assert r.status[b] == Status.AMBIGUOUS or len(roots) == 1
