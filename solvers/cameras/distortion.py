@@ -84,7 +84,9 @@ def distort(coefficients: np.ndarray, ideal: np.ndarray) -> np.ndarray:
         live[live] = moved & np.isfinite(step).all(axis=1)
         if not live.any():
             break
-    unfolded = (np.linalg.det(correct_jacobian(coefficients, xy)) > 0) & ((xy**2).sum(axis=1) < fold(*map(float, coefficients[:3])))
+    j = correct_jacobian(coefficients, xy)
+    unfolded = j[:, 0, 0] * j[:, 1, 1] > j[:, 0, 1] * j[:, 1, 0]
+    unfolded &= (xy**2).sum(axis=1) < fold(*map(float, coefficients[:3]))
     missed = np.abs(correct(coefficients, xy) - target).max(axis=1) > 1e-9 * scale
     xy[missed | ~unfolded | ~np.isfinite(xy).all(axis=1)] = np.nan
     return xy.reshape(shape)

@@ -188,11 +188,10 @@ def _orthogonal(request: Request, control: Control, found: list[Candidate],
         return problem, _best_run(problem, problem.starts(), control)[0], found
     best = found[0].exterior
     near_best = [problem.start(problem.affine_of(e)) for k in found for e in (k.start, k.exterior)]
-    plain, aimed = (problem, problem.starts() + near_best), (replace(problem, accelerated=True), near_best)
+    given = [problem.start(problem.affine_of(prior.exterior))] if request.prior == "initial" and prior else None
+    plain, aimed = (problem, given or problem.starts() + near_best), (replace(problem, accelerated=True), given or near_best)
     # where plain repetition runs away from its fixed point, the steps are aimed at it
     for attempt, beginnings in [aimed] if problem.statistics(best).radius >= 1 else [plain, aimed]:
-        if request.prior == "initial" and prior:
-            beginnings = [attempt.start(attempt.affine_of(prior.exterior))]
         options = AIMED if attempt.accelerated else ORTHOGONAL
         for x0 in beginnings:  # the first that ends beside the best perspective solution; the linear start leads
             trace = solve(attempt, x0, options)
