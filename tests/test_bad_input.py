@@ -205,7 +205,7 @@ def test_a_wild_value_is_told_in_words(site: Path, capsys: pytest.CaptureFixture
     edit(site / "points.csv", r"^P5,5.0,-3.0,15.0", "P5,5.0,-3.0,1000000.0")
     code = main(["resect", str(site)])
     out, err = capsys.readouterr()
-    assert "unforeseen" not in err and (code == 0 and "warning" in out or code == 1 and "image 'a'" in err)
+    assert "unforeseen" not in err and ((code == 0 and "warning" in out) or (code == 1 and "image 'a'" in err))
 
 
 def test_no_prior(site: Path, capsys: pytest.CaptureFixture[str]) -> None:
