@@ -1,0 +1,18 @@
+"""Honest comparisons: run many adjustments, tabulate, plot, say it in words. `KINDS` names them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+
+KINDS = {
+    "clusters": "33 control points, narrow clusters: the design of the orthogonal single-image orientation paper",
+    "fov": "field of view, relief, number of points, noise and prior quality",
+    "starts": "initial values: success and cost of every start",
+}
+
+
+def run(kind: str, folder: Path, runs: int | None = None, progress: Callable[[str], None] = lambda _: None) -> list[Path]:
+    """Run a study into a folder: CSV, PNG and SVG figures and one page; returns the files written."""
+    return import_module(f".{kind}", __name__).study(folder, runs=runs, progress=progress)

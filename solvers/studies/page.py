@@ -1,0 +1,47 @@
+"""Tables, figures and pages of the studies: CSV, PNG and SVG with one look, Markdown."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+COLOURS = {"perspective": "#1f6fb4", "orthogonal": "#e07b1a", "prior": "#2a9d6f", "truth": "#444444", "printed": "#b35806"}
+
+
+def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> Path:
+    """Rows of one table; columns in the order of their first appearance, numbers with six digits."""
+    columns = list(dict.fromkeys(key for row in rows for key in row))
+    with path.open("w", newline="", encoding="utf-8") as file:
+        out = csv.DictWriter(file, columns)
+        out.writeheader()
+        out.writerows({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
+    return path
+
+
+def figure(width: float = 7.0, height: float = 4.2, **kwargs: Any) -> tuple[Any, Any]:
+    """A matplotlib figure and its axes, made without a display."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    fig = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(fig)
+    return fig, fig.subplots(**kwargs)
+
+
+def save(fig: Any, folder: Path, name: str) -> list[Path]:
+    """PNG (150 dpi) and SVG of a figure, the SVG without dates so that it can be compared."""
+    paths = [folder / f"{name}.png", folder / f"{name}.svg"]
+    fig.savefig(paths[0], dpi=150)
+    fig.savefig(paths[1], metadata={"Date": None})
+    return paths
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """A Markdown table; floats with three significant digits."""
+    def cell(value: Any) -> str:
+        return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+    lines = ["| " + " | ".join(header) + " |", "|" + " --- |" * len(header)]
+    return "\n".join([*lines, *("| " + " | ".join(map(cell, row)) + " |" for row in rows)])
