@@ -165,28 +165,31 @@ class _Painter:
         self._series(replay, f"/plots/{where}", colour)
 
     def _series(self, replay: Replay, path: str, colour: theme.Colour) -> None:
-        """Each scalar as it is in the trace, the decimal logarithm of those that fall by powers of ten, and the elements."""
+        """Each scalar as it is in the trace; to be drawn, the decimal logarithm of those that fall by powers of ten, and the
+        elements minus their final values. Few entities: a browser takes them in one by one."""
+        import rerun as rr
+
         index = np.array([row.index for row in replay.rows])
         for name in SCALARS:
             values = np.array([getattr(row, name) for row in replay.rows], float)
-            self._curve(f"{path}/{name}", f"{replay.model} {name}", index, values, colour)
-            if name in LOGARITHMIC:
-                tone = shade(colour, LOGARITHMIC.index(name), len(LOGARITHMIC))
-                logs = np.log10(np.where(values > 0, values, np.nan))
-                self._curve(f"{path}/log10/{name}", f"{replay.model} log10 {name}", index, logs, tone)
-        differences = np.array([replay.to_final(row) for row in replay.rows])
-        for i, name in enumerate(ELEMENTS):
-            kind, unit, tone = *(("position", "m") if i < 3 else ("attitude", "deg")), shade(colour, i % 3, 3)
-            self._curve(f"{path}/{kind}/{name}", f"{replay.model} {name} [{unit}]", index, differences[:, i], tone)
+            known = np.isfinite(values)
+            self._columns(f"{path}/{name}", index[known], values[known])
+        falling = np.array([[getattr(row, name) for name in LOGARITHMIC] for row in replay.rows], float)
+        elements = np.array([replay.to_final(row) for row in replay.rows])
+        logarithms = np.log10(np.where(falling > 0, falling, np.nan))
+        for group, names, values in (("log10", [f"log10 {n}" for n in LOGARITHMIC], logarithms),
+                                     ("position", [f"{n} [m]" for n in ELEMENTS[:3]], elements[:, :3]),
+                                     ("attitude", [f"{n} [deg]" for n in ELEMENTS[3:]], elements[:, 3:])):
+            names, shades = [f"{replay.model} {name}" for name in names], [shade(colour, i, 3) for i in range(3)]
+            self._static(f"{path}/{group}", rr.SeriesLines(names=names, colors=shades, widths=[2.0] * 3))
+            self._columns(f"{path}/{group}", index, values)
 
-    def _curve(self, path: str, name: str, index: np.ndarray, values: np.ndarray, colour: theme.Colour) -> None:
+    def _columns(self, path: str, index: np.ndarray, values: np.ndarray) -> None:
+        """values (rows,) or (rows, k)."""
         import rerun as rr
 
-        known = np.isfinite(values)
-        if known.any():
-            self._static(path, rr.SeriesLines(names=name, colors=colour, widths=2))
-            times = [rr.TimeColumn(TIMELINE, sequence=index[known])]
-            self.stream.send_columns(path, times, rr.Scalars.columns(scalars=values[known]))
+        if len(index):
+            self.stream.send_columns(path, [rr.TimeColumn(TIMELINE, sequence=index)], rr.Scalars.columns(scalars=values))
 
     def residuals(self, replays: Sequence[Replay]) -> None:
         """Residual vectors of all models on one photo, in every row equally exaggerated, the factor written above the photo."""

@@ -81,5 +81,5 @@ def _image(name: str, replays: Sequence[Replay]) -> rrb.Vertical:
 def _curves(replays: Sequence[Replay], kind: str, title: str) -> rrb.TimeSeriesView:
     import rerun.blueprint as rrb
 
-    paths = [f"/plots/{part(r.image)}/{r.model}/{kind}/**" for r in replays]
+    paths = [f"/plots/{part(r.image)}/{r.model}/{kind}" for r in replays]
     return rrb.TimeSeriesView(origin="/plots", contents=paths, name=title, plot_legend=rrb.PlotLegend(corner="RightTop"))
