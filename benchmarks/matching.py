@@ -48,8 +48,7 @@ def photograph(fine: np.ndarray, warp: np.ndarray, shape: tuple[int, int], steps
 def random_warp(rng: np.random.Generator, shape: tuple[int, int], turn: float, scale: float, shear: float) -> np.ndarray:
     a, s, k = np.radians(rng.uniform(-turn, turn)), 1 + rng.uniform(-scale, scale), rng.uniform(-shear, shear)
     matrix = s * np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]) @ np.array([[1, k], [0, 1]])
-    centre = np.array(shape[::-1]) / 2
-    return np.column_stack([matrix, centre - matrix @ centre + rng.uniform(-3, 3, 2)])
+    return about_centre(matrix, shape, rng)
 
 
 def digital(image: np.ndarray, rng: np.random.Generator, gain: float, offset: float, noise: float) -> np.ndarray:
@@ -60,12 +59,12 @@ def digital(image: np.ndarray, rng: np.random.Generator, gain: float, offset: fl
 class Pair:
     """One photo and its warped twin with the true conjugate points."""
 
-    def __init__(self, fine: np.ndarray, rng: np.random.Generator, case: tuple):
+    def __init__(self, fine: np.ndarray, rng: np.random.Generator, case: tuple, matrix: np.ndarray | None = None):
         turn, scale, shear, gain, offset, noise = case
         shape = (fine.shape[0] // SCALE, fine.shape[1] // SCALE)
         fine = fine[: shape[0] * SCALE, : shape[1] * SCALE]
         self.exact = cv2.resize(fine, shape[::-1], interpolation=cv2.INTER_AREA)
-        warp = random_warp(rng, shape, turn, scale, shear)
+        warp = random_warp(rng, shape, turn, scale, shear) if matrix is None else about_centre(matrix, shape, rng)
         self.left = digital(self.exact, rng, 0, 0, noise)
         self.right = digital(photograph(fine, warp, shape), rng, gain, offset, noise)
         at = np.round(cv2.goodFeaturesToTrack(self.left, 3 * PER_PHOTO, 0.01, 8)[:, 0]).astype(float)
@@ -78,8 +77,8 @@ class Pair:
 
     def bound(self) -> np.ndarray:
         """(N, 2) Cramer-Rao variances of the conjugate point: exact image, eight parameters, noise and rounding of both photos."""
-        c = cv2.sepFilter2D(self.exact, cv2.CV_64F, np.array([-0.5, 0, 0.5]), np.array([1.0]))
-        r = cv2.sepFilter2D(self.exact, cv2.CV_64F, np.array([1.0]), np.array([-0.5, 0, 0.5]))
+        spline, slope, value = prepare(self.exact, 0.0).coefficients, np.array([-0.5, 0, 0.5]), np.array([1, 4, 1]) / 6
+        c, r = (cv2.sepFilter2D(spline, cv2.CV_64F, a, b) for a, b in ((slope, value), (value, slope)))
         v, u = (a.ravel() for a in np.mgrid[-HALF : HALF + 1, -HALF : HALF + 1])
         out = []
         for x, y in self.at.astype(int):
@@ -215,28 +214,17 @@ def pull_in(scenes: list[np.ndarray]) -> None:
         hits, wrong, count = 0, 0, 0
         for fine in scenes[:3]:
             a = np.radians(turn)
-            p = Pair.__new__(Pair)
-            p.__dict__.update(turned(fine, scale * np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]])).__dict__)
+            matrix = scale * np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]])
+            p = Pair(fine, np.random.default_rng(3), (0, 0, 0, 0.1, 10, 2), matrix)
             pixel, ok, _ = lsm(p, around(p.truth, 5), search=8, shape=p.shape @ np.array([[1.02, 0.02], [-0.02, 0.98]]))
             far = np.linalg.norm(pixel - p.truth, axis=1)
             hits, wrong, count = hits + (far < 0.3).sum(), wrong + (ok & (far > 1)).sum(), count + len(far)
         print(f"  {turn:4d} {scale:4.1f}: {100 * hits / count:.1f} of {count}, confidently wrong {wrong}", flush=True)
 
 
-def turned(fine: np.ndarray, matrix: np.ndarray) -> Pair:
-    """A pair whose second photo is turned and scaled about the centre by a given matrix."""
-    global random_warp
-    keep = random_warp
-
-    def fixed(rng: np.random.Generator, shape: tuple[int, int], *_: float) -> np.ndarray:
-        centre = np.array(shape[::-1]) / 2
-        return np.column_stack([matrix, centre - matrix @ centre + rng.uniform(-3, 3, 2)])
-
-    random_warp = fixed
-    try:
-        return Pair(fine, np.random.default_rng(3), (0, 0, 0, 0.1, 10, 2))
-    finally:
-        random_warp = keep
+def about_centre(matrix: np.ndarray, shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
+    centre = np.array(shape[::-1]) / 2
+    return np.column_stack([matrix, centre - matrix @ centre + rng.uniform(-3, 3, 2)])
 
 
 def main() -> None:

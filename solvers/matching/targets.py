@@ -87,7 +87,7 @@ class _Ellipse:
 
 
 def _blobs(grey: np.ndarray, dark: bool, options: TargetOptions, holes: bool) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Outlines of regions darker (lighter) than their surroundings that look like an ellipse: centre, covariance of their area."""
+    """Outlines of darker (lighter) regions that look like an ellipse: centre, covariance of their area."""
     import cv2
 
     side = int(2 * min(options.largest_diameter, min(grey.shape) / 8)) | 1
