@@ -191,6 +191,7 @@ def _orthogonal(request: Request, control: Control, found: list[Candidate],
     given = [problem.start(problem.affine_of(prior.exterior))] if request.prior == "initial" and prior else None
     plain, aimed = (problem, given or problem.starts() + near_best), (replace(problem, accelerated=True), given or near_best)
     # where plain repetition runs away from its fixed point, the steps are aimed at it
+    runs = []
     for attempt, beginnings in [aimed] if problem.statistics(best).radius >= 1 else [plain, aimed]:
         options = AIMED if attempt.accelerated else ORTHOGONAL
         for x0 in beginnings:  # the first that ends beside the best perspective solution; the linear start leads
@@ -198,15 +199,20 @@ def _orthogonal(request: Request, control: Control, found: list[Candidate],
             end = Exterior.from_vector(trace.last.x)
             if _sound(control, trace, best) and all(apart(end, best) < apart(end, k.exterior) for k in found[1:]):
                 return attempt, x0, found
-    return problem, plain[1][0], found  # no fixed point that holds: the plain repetition shows how it fails
+            runs.append((*_rank(control, trace), len(runs), attempt, x0))
+    *_, attempt, x0 = min(runs)  # none that the perspective residual confirms: the least bad, and it will be said
+    return attempt, x0, found
 
 
 def _best_run(problem: Orthogonal | OrthogonalFreeC, beginnings: list[np.ndarray], control: Control) -> tuple[np.ndarray, Trace]:
     """Of all runs the converged one with the smallest perspective residual."""
-    def rank(run: tuple[np.ndarray, Trace]) -> tuple[bool, float]:
-        rms = _rms(control, Exterior.from_vector(run[1].last.x))
-        return not (run[1].converged and np.isfinite(rms)), rms if np.isfinite(rms) else np.inf
-    return min(((x0, solve(problem, x0, ORTHOGONAL)) for x0 in beginnings), key=rank)
+    return min(((x0, solve(problem, x0, ORTHOGONAL)) for x0 in beginnings), key=lambda run: _rank(control, run[1]))
+
+
+def _rank(control: Control, trace: Trace) -> tuple[bool, float]:
+    """Converged runs first, then by the perspective residual."""
+    rms = _rms(control, Exterior.from_vector(trace.last.x))
+    return not (trace.converged and np.isfinite(rms)), rms if np.isfinite(rms) else np.inf
 
 
 def _sound(control: Control, trace: Trace, best: Exterior) -> bool:
