@@ -45,7 +45,7 @@ def _space(replays: Sequence[Replay], site: np.ndarray) -> rrb.Spatial3DView:
 
     seen = np.concatenate([site, *[r.exterior(r.rows[-1]).centre[None] for r in replays]])
     low, high = (seen.min(axis=0), seen.max(axis=0)) if len(seen) else (np.full(3, -1.0), np.ones(3))
-    target, reach = (low + high) / 2, 0.85 * max(float(np.linalg.norm(high - low)), 1e-3)
+    target, reach = (low + high) / 2, 1.0 * max(float(np.linalg.norm(high - low)), 1e-3)
     eye = rrb.EyeControls3D(position=target + reach * np.array([0.4, -0.65, 0.75]), look_target=target, eye_up=(0, 0, 1))
     photos = [f"- /images/{part(name)}/photo/**" for name in dict.fromkeys(r.image for r in replays)]
     return rrb.Spatial3DView(origin="/", name="Block", contents=["/images/**", "/points/**", *photos],
