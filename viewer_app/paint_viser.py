@@ -14,6 +14,7 @@ import viser.transforms as tf
 from solvers import Exterior
 from solvers.geometry import to_opencv
 
+from .tones import sent
 from .values import Ellipsoid, Frustum, Label, Mesh, Plane, PointCloud, Scene, Segments, Value, linear
 
 
@@ -89,7 +90,7 @@ def _add_frustum(scene: viser.SceneApi, path: str, value: Frustum) -> list[Any]:
             scale=_frustum_scale(value),
             thickness=value.thickness,
             thickness_units="screen",
-            color=value.colour,
+            color=sent(value.colour),
             image=value.image,
             format="jpeg",
             jpeg_quality=80,
@@ -117,7 +118,7 @@ def _change_frustum(nodes: list[Any], old: Frustum, new: Frustum) -> bool:
 def _add_segments(scene: viser.SceneApi, path: str, value: Segments) -> list[Any]:
     return [
         scene.add_line_segments(
-            path, value.points.astype(np.float32), value.colour, thickness=value.thickness, thickness_units="screen"
+            path, value.points.astype(np.float32), sent(value.colour), thickness=value.thickness, thickness_units="screen"
         )
     ]
 

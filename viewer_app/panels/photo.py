@@ -124,7 +124,7 @@ def magnifier_html(state: State, photo: Photo, wire: Wire, crop: Crop) -> str:
     pixels, x, y = crop(photo, (camera.width, camera.height), state.mark.col, state.mark.row, HALF)
     side, x, y = 2 * HALF + 1, x + 0.5, y + 0.5
     surface = wire.surface("magnifier").replace(
-        'style="cursor:crosshair"', 'style="cursor:crosshair;display:block;width:100%;max-width:400px"'
+        'style="cursor:crosshair"', 'style="cursor:crosshair;display:block;width:100%;max-width:250px"'
     )
     arrows = " ".join(
         f'<button type="button" {wire.attributes("nudge", d, f"move the mark {w} by a tenth of a pixel")}>{s}</button>'
