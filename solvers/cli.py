@@ -13,6 +13,7 @@ from typing import Any, NoReturn
 from .errors import PhotogrammetryError
 
 PROG = "collinea"
+SIMULATIONS = ("uav_cluster", "ono_stereo", "ono_triplet", "field_long_range", "uav_block", "calibration_plate")
 
 
 class Parser(argparse.ArgumentParser):
@@ -92,7 +93,7 @@ def parser() -> Parser:
                         help="perspective: interior parameters to adjust")
 
     simulate = _command(commands, "simulate", _simulate, "make a project with known truth")
-    simulate.add_argument("kind", metavar="KIND", choices=("uav_cluster",), help="uav_cluster")
+    simulate.add_argument("kind", metavar="KIND", choices=SIMULATIONS, help=" | ".join(SIMULATIONS))
     simulate.add_argument("-o", "--output", required=True, metavar="FOLDER")
     simulate.add_argument("--seed", type=int, default=0, help="of the random numbers (default: 0)")
     simulate.add_argument("--reduction", type=int, choices=range(1, 17), default=4, metavar="N",

@@ -37,8 +37,6 @@ from .io import (
 from .orientation import Advice, Orientation, Request, advise, orient
 
 MODELS = ("perspective", "orthogonal")
-KINDS = ("uav_cluster",)
-
 Recorder = Callable[[Path, Block, Sequence[Orientation], Mapping[str, np.ndarray], Mapping[str, Any] | None], object]
 """record(path, block, orientations, small photos by image name, truth): writes recording.rrd."""
 PHOTO_SIDE = 1280
@@ -278,7 +276,7 @@ def simulate_project(kind: str, folder: Path | str, *, seed: int = 0, reduction:
 
     folder = Path(folder)
     _must_be_free(folder)
-    simulated = getattr(simulation, _known(kind))(seed=seed)
+    simulated = simulation.simulate(kind, seed)
     block, terrain, render = simulated.block, simulated.terrain, simulated.render
     if not photos:
         block = replace(block, images=tuple(replace(i, file=None) for i in block.images))
@@ -289,12 +287,6 @@ def simulate_project(kind: str, folder: Path | str, *, seed: int = 0, reduction:
     if terrain is not None and "file" in block.surface:
         write_heights(folder / block.surface["file"], terrain.heights, terrain.west, terrain.north, terrain.cell, block.crs)
     return block
-
-
-def _known(kind: str) -> str:
-    if kind not in KINDS:
-        raise BadProject(f"there is no simulation '{kind}'; choose {', '.join(KINDS)}")
-    return kind
 
 
 # -- new folders ----------------------------------------------------------------------------------------------------------
