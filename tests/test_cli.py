@@ -239,3 +239,10 @@ def test_refusal_as_a_user_sees_it(site: Path) -> None:
     (site / "points.csv").write_text("name;X\n")
     done = call("resect", site)
     assert done.returncode == 1 and done.stdout == "" and done.stderr.startswith("collinea: ") and done.stderr.count("\n") == 1
+
+
+def test_every_simulation_is_offered() -> None:
+    from solvers.cli import SIMULATIONS
+    from solvers.simulation import KINDS
+
+    assert set(SIMULATIONS) == set(KINDS)
