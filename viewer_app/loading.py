@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,8 @@ from .state import Assets, Photo, State, Terrain, View, Work
 
 PANE, THUMBNAIL = 1100, 480
 """Longer sides [px] of the pictures for the photo pane and the scene."""
+TILE = 256
+"""Side of the pieces [px of the file] in which a photo is reached into."""
 TERRAIN_CELLS = 160
 """Longer side of the terrain mesh."""
 
@@ -85,11 +88,20 @@ def crop(photo: Photo, format_size: tuple[int, int], col: float, row: float, hal
 
     The file may be the full photo reduced by a factor: full = (file + 0.5) * factor - 0.5.
     """
+    x, y = ((v + 0.5) * n / full - 0.5 for v, n, full in zip((col, row), photo.size, format_size, strict=True))
+    left, top, side = round(x) - half, round(y) - half, 2 * half + 1
+    tile_x, tile_y = left // TILE, top // TILE
+    tile = _tile(photo.path, tile_x * TILE, tile_y * TILE, TILE + side)
+    i, j = top - tile_y * TILE, left - tile_x * TILE
+    return tile[i : i + side, j : j + side], x - left, y - top
+
+
+@lru_cache(maxsize=16)
+def _tile(path: Path, left: int, top: int, side: int) -> np.ndarray:
+    """Pixels of a photo's file; kept, for reaching into a very large JPEG takes its time."""
     from solvers.io.photos import photo_window
 
-    x, y = ((v + 0.5) * n / full - 0.5 for v, n, full in zip((col, row), photo.size, format_size, strict=True))
-    left, top = round(x) - half, round(y) - half
-    return photo_window(photo.path, left, top, 2 * half + 1, 2 * half + 1), x - left, y - top
+    return photo_window(path, left, top, side, side)
 
 
 def terrain(path: Path, frame: LocalFrame, site: np.ndarray) -> Terrain:

@@ -25,7 +25,7 @@ def seen(colour: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=256)
 def sent(colour: Colour) -> Colour:
-    """The colour whose picture comes closest to `colour`; the curve has no pure white, so the brightest come out a little darker."""
+    """The colour whose picture comes closest to `colour`; the curve has no pure white: the brightest come out darker."""
     best = np.array(colour)
     for step in (32, 16, 8, 4, 2, 1, 1):
         axis = np.arange(-2, 3) * step
