@@ -1,6 +1,6 @@
 """Least squares matching beside other area matchers, on real photos warped with known truth: accuracy, honesty, speed.
 
-    python benchmarks/matching.py [DATA]        DATA, or COLLINEA_DATA, or ../shared/data: a folder with uav_brighton8 and uav_strip5
+    python benchmarks/matching.py [DATA]        DATA, or COLLINEA_DATA, or ../shared/data: holds uav_brighton8 and uav_strip5
 
 One run, one thread, CPU time per point (best of the photos), images prepared once and not counted, for all methods alike.
 Peers: OpenCV's matchTemplate with a parabola, findTransformECC (affine, filter 5 and 1) and calcOpticalFlowPyrLK.
@@ -76,7 +76,7 @@ class Pair:
         self.photos = prepare(self.left), prepare(self.right)
 
     def bound(self) -> np.ndarray:
-        """(N, 2) Cramer-Rao variances of the conjugate point: exact image, eight parameters, noise and rounding of both photos."""
+        """(N, 2) Cramer-Rao variances of the conjugate point: exact image, eight parameters, both photos' noise and rounding."""
         spline, slope, value = prepare(self.exact, 0.0).coefficients, np.array([-0.5, 0, 0.5]), np.array([1, 4, 1]) / 6
         c, r = (cv2.sepFilter2D(spline, cv2.CV_64F, a, b) for a, b in ((slope, value), (value, slope)))
         v, u = (a.ravel() for a in np.mgrid[-HALF : HALF + 1, -HALF : HALF + 1])
@@ -114,7 +114,8 @@ def ecc(p: Pair, start: np.ndarray, blur: int) -> tuple[np.ndarray, np.ndarray]:
         if x0 < 0 or y0 < 0:
             continue
         warp = np.array([[1, 0, reach - HALF], [0, 1, reach - HALF]], np.float32)
-        patch, template = p.right[y0 : sy + reach + 1, x0 : sx + reach + 1], p.left[ty - HALF : ty + HALF + 1, tx - HALF : tx + HALF + 1]
+        patch = p.right[y0 : sy + reach + 1, x0 : sx + reach + 1]
+        template = p.left[ty - HALF : ty + HALF + 1, tx - HALF : tx + HALF + 1]
         try:
             score, warp = cv2.findTransformECC(template, patch, warp, cv2.MOTION_AFFINE, stop, None, blur)
         except cv2.error:
@@ -162,7 +163,8 @@ def accuracy(scenes: list[np.ndarray]) -> None:
         pairs = [Pair(s, rng, case) for s in scenes]
         bound = np.concatenate([p.bound() for p in pairs])
         print(f"\n{name}: {len(bound)} points, Cramer-Rao bound {np.sqrt(bound.mean()):.4f} px")
-        print(f"{'method':24s} {'ok %':>6s} {'rms px':>8s} {'/ ours':>7s} {'/ CRB':>6s} {'sd/rms':>7s} {'us/point':>9s} {'/ ours':>7s}")
+        heads = ("ok %", "rms px", "/ ours", "/ CRB", "sd/rms", "us/point", "/ ours")
+        print(f"{'method':24s}" + "".join(f"{head:>9s}" for head in heads))
         first: tuple[float, float] | None = None
         for label, method in METHODS.items():
             error, ok, sigma, best = [], [], [], np.inf
@@ -180,8 +182,9 @@ def accuracy(scenes: list[np.ndarray]) -> None:
             rms = float(np.sqrt((e[o] ** 2).mean()))
             first = first or (rms, best)
             told = float(np.sqrt((s[o] ** 2).mean())) / rms
-            print(f"{label:24s} {100 * o.mean():6.1f} {rms:8.4f} {rms / first[0]:7.2f} {rms / np.sqrt(bound[o].mean()):6.2f} {told:7.2f} "
-                  f"{best:9.1f} {best / first[1]:7.2f}", flush=True)
+            over = rms / float(np.sqrt(bound[o].mean()))
+            print(f"{label:24s}{100 * o.mean():9.1f}{rms:9.4f}{rms / first[0]:9.2f}{over:9.2f}{told:9.2f}{best:9.1f}"
+                  f"{best / first[1]:9.2f}", flush=True)
 
 
 def noise_levels(scenes: list[np.ndarray]) -> None:
@@ -194,7 +197,8 @@ def noise_levels(scenes: list[np.ndarray]) -> None:
         s = np.concatenate([f[2][f[1]] for f in found])
         b = np.concatenate([p.bound()[f[1]] for f, p in zip(found, pairs, strict=True)])
         rms = np.sqrt((e**2).mean())
-        print(f"noise {noise}: rms {rms:.4f} px, / CRB {rms / np.sqrt(b.mean()):.3f}, sd / rms {np.sqrt((s**2).mean()) / rms:.3f}, "
+        over, told = rms / np.sqrt(b.mean()), np.sqrt((s**2).mean()) / rms
+        print(f"noise {noise}: rms {rms:.4f} px, / CRB {over:.3f}, sd / rms {told:.3f}, "
               f"rms of error / sd {np.sqrt((e**2 / s**2).mean()):.3f}", flush=True)
 
 
@@ -228,7 +232,8 @@ def about_centre(matrix: np.ndarray, shape: tuple[int, int], rng: np.random.Gene
 
 
 def main() -> None:
-    data = Path(sys.argv[1] if len(sys.argv) > 1 else os.environ.get("COLLINEA_DATA", Path(__file__).parents[1] / "../shared/data"))
+    default = os.environ.get("COLLINEA_DATA", Path(__file__).parents[1] / "../shared/data")
+    data = Path(sys.argv[1] if len(sys.argv) > 1 else default)
     photos = sorted(data.glob("uav_brighton8/*.JPG"))[::3] + sorted(data.glob("uav_strip5/*.JPG"))[::2]
     if not photos:
         sys.exit(f"no photos under {data}: give the folder that holds uav_brighton8 and uav_strip5")

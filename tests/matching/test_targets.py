@@ -11,7 +11,7 @@ OVER = 4  # samples a pixel side
 
 
 def view(pattern, matrix: np.ndarray, size: tuple[int, int], noise: float = 1.0, seed: int = 0) -> np.ndarray:
-    """Photo of a plane: matrix maps plane to pixels; pattern(x, y) is its brightness 0..1; box-averaged pixels, lens blur, noise."""
+    """Photo of a plane: matrix maps plane to pixels; pattern(x, y) is its brightness 0..1; box pixels, lens blur, noise."""
     cols, rows = size
     row, col = (np.mgrid[0 : rows * OVER, 0 : cols * OVER] + 0.5) / OVER - 0.5
     p = np.stack([col, row, np.ones_like(col)], -1) @ np.linalg.inv(matrix).T

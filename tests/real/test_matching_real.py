@@ -43,6 +43,7 @@ def test_a_photo_matches_itself_turned_and_dimmed():
     rng = np.random.default_rng(0)
     at = np.stack([rng.integers(100, cols - 100, 300), rng.integers(100, rows - 100, 300)], 1).astype(float)
     truth = np.stack([at[:, 1], cols - 1 - at[:, 0]], 1)
-    r = match_lsm(image, (0.7 * turned + 20).astype(np.float32), at, truth + 3, search=8, shape=np.array([[0.0, 1.0], [-1.0, 0.0]]))
+    dim, turn = (0.7 * turned + 20).astype(np.float32), np.array([[0.0, 1.0], [-1.0, 0.0]])
+    r = match_lsm(image, dim, at, truth + 3, search=8, shape=turn)
     assert r.ok.mean() > 0.8
     assert np.nanmax(np.abs(r.pixel - truth)) < 0.05
