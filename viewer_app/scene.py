@@ -159,6 +159,11 @@ def _image(state: State, name: str, depth: float) -> Scene:
     start = _start(state, name)
     if view.initial and chosen and start is not None:
         found[f"{path}/initial/camera"] = Frustum(start, depth=depth * 0.8, colour=theme.INITIAL, thickness=1.5, **lens)
+    given = prior(state, name)
+    if view.georeferenced and chosen and given is not None:
+        found[f"{path}/georeferenced/camera"] = Frustum(
+            given, depth=depth * 0.7, colour=theme.GEOREFERENCED, thickness=1.5, **lens
+        )
     truth = state.assets.truth.get(name)
     if view.truth and truth is not None:
         found[f"{path}/truth/camera"] = Frustum(

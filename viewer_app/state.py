@@ -110,6 +110,7 @@ class View:
     perspective: bool = True
     orthogonal: bool = True
     initial: bool = True
+    georeferenced: bool = True
     truth: bool = True
     rays: bool = True
     bundle: bool = True  # parallel bundle and average plane of the orthogonal solution

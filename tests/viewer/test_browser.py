@@ -120,7 +120,19 @@ def measured_points(app: App, v: ViserPage) -> tuple[np.ndarray, np.ndarray]:
 @pytest.fixture
 def points_only(session: Session) -> Iterator[Session]:
     app, v = session
-    names = ("terrain", "labels", "rays", "bundle", "residuals", "ellipsoids", "perspective", "orthogonal", "truth", "initial")
+    names = (
+        "terrain",
+        "labels",
+        "rays",
+        "bundle",
+        "residuals",
+        "ellipsoids",
+        "perspective",
+        "orthogonal",
+        "truth",
+        "initial",
+        "georeferenced",
+    )
     for name in names:
         app.emit(Show(name, False))
     settle(app, v)

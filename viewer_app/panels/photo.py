@@ -37,7 +37,7 @@ class PhotoPanel:
             "Place mark", hint="The mark becomes the observation of its point; everything is solved again.", color="green"
         )
         self._place.on_click(lambda _: emit(Place()))
-        self._unmark = gui.add_button("Drop mark", hint="Forget the mark.")
+        self._unmark = gui.add_button("Drop mark", hint="Forget the mark.", color="gray")
         self._unmark.on_click(lambda _: emit(Unmark()))
 
     def draw(self, state: State) -> None:

@@ -31,6 +31,7 @@ SHOWN = (
     ("residuals", "Residuals", "At each GCP, from the point to its observed ray, exaggerated."),
     ("ellipsoids", "Ellipsoids", "95 % error ellipsoids of the centres, a priori, exaggerated."),
     ("initial", "Initial value", "Where the adjustment of the chosen image began."),
+    ("georeferenced", "Georeferenced", "The chosen image's onboard GPS/IMU orientation, where the project has one."),
     ("truth", "Truth", "The true orientations of a simulated project."),
 )
 Way = Callable[[viser.ClientHandle | None], None]

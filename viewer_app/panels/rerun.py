@@ -65,7 +65,7 @@ class RerunPanel:
             with self._panel.add_tab("rerun"):
                 self._html = self._gui.add_html("")
             self._panel.dock_left()
-            self._panel.set_width(620)
+            self._panel.set_width(520)
             with self._panel.add_tab("Close"):
                 self._gui.add_button("Close rerun", hint="Close this panel.").on_click(lambda _: self._hide())
         self._html.content = (
