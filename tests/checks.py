@@ -53,7 +53,7 @@ def chi_square_band(values: np.ndarray, dof: int, level: float = 0.99) -> None:
 
     tail, total, d = (1 - level) / 2, float(np.sum(values)), dof * len(values)
     low, high = chi2.ppf([tail, 1 - tail], d)
-    assert low <= total <= high, f"mean chi-square per degree of freedom {total / d:.3f}, expected {low / d:.3f} .. {high / d:.3f}"
+    assert low <= total <= high, f"chi-square per degree of freedom {total / d:.3f}, expected {low / d:.3f} .. {high / d:.3f}"
 
 
 def normalised_error(orientation, truth: Exterior) -> np.ndarray:

@@ -55,6 +55,7 @@ def sentence(replay: Replay, row: Iteration) -> str:
 
 
 def about(block: Block, frame: LocalFrame) -> str:
+    """The page that opens with a recording: frame, origin, conventions and colours, in Markdown."""
     x, y, z = (f"{v:.10g}" for v in frame.origin)
     kind = "project coordinates minus the origin" if frame.cartesian else "tangent to the earth there, turned to grid north"
     colours = "\n".join(f"- {word}: rgb({r}, {g}, {b})" for word, (r, g, b) in theme.legend().items())

@@ -77,16 +77,31 @@ def control_of(block: Block, image: str, frame: LocalFrame, points: tuple[str, .
     for name, coordinates in zip((block.points.names[k] for k in j), xyz, strict=True):
         if not np.isfinite(coordinates).all():
             raise BadProject(f"control point '{name}' has no coordinates; give X, Y, Z in points.csv or make it a tie point")
-    sigma_px = block.observations.sigma[rows]
+    sigma_px, pixels = block.observations.sigma[rows], block.observations.pixel[rows]
+    _refuse_nonsense([block.points.names[k] for k in j], image, pixels, sigma_px, sigma)
     return Control(
         image=image,
         interior=block.camera_of(image),
         names=tuple(block.points.names[k] for k in j),
         points=frame.to_local(xyz),
-        pixels=block.observations.pixel[rows],
+        pixels=pixels,
         sigma_px=np.where(np.isfinite(sigma_px), sigma_px, block.image_px),
         sigma_m=np.where(np.isfinite(sigma), sigma, block.control_m),
     )
+
+
+def _refuse_nonsense(names: list[str], image: str, pixels: np.ndarray, sigma_px: np.ndarray, sigma_m: np.ndarray) -> None:
+    """Raises BadProject for a pixel that is no number and for sigmas that are none; NaN means the default."""
+    for name, pixel, px, m in zip(names, pixels, sigma_px, sigma_m, strict=True):
+        if not np.isfinite(pixel).all():
+            raise BadProject(f"point '{name}' in image '{image}' has the pixel {pixel[0]}, {pixel[1]}; give two numbers "
+                             "in observations.csv or remove the line")
+        if px <= 0 or np.isinf(px):
+            raise BadProject(f"point '{name}' in image '{image}' has sigma = {px} px; give a positive number in "
+                             "observations.csv or leave it empty for the default")
+        if (m < 0).any() or np.isinf(m).any():
+            raise BadProject(f"control point '{name}' has a sigma of {m.tolist()} m; give numbers of at least 0 in points.csv "
+                             "or leave them empty for the default")
 
 
 def require(control: Control, model: str) -> None:

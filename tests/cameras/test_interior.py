@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.checks import central
 from solvers import BadProject, Interior
 from solvers.cameras import PARAMETERS, correct, correct_derivatives, correct_jacobian, distort
+from tests.checks import central
 from tests.synthetic import REAL_CAMERA, SEED_CAMERA
 
 GOLDEN = Interior(35.0, 0.12, -0.08, 6e-5, -4e-8, 1e-11, 5e-6, -3e-6, 1e-4, -5e-5, pixel_mm=0.004, width=6000, height=4000)

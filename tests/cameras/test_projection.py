@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.checks import central
 from solvers import Exterior
 from solvers.cameras import PARAMETERS, ideal_photo, project, project_derivatives
+from tests.checks import central
 from tests.synthetic import REAL_CAMERA, SEED_CAMERA, moved, scene
 
 

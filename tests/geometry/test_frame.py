@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from tests.checks import assert_same
 from solvers import BadProject, Exterior
 from solvers.geometry import LocalFrame
 from solvers.orientation import resect
+from tests.checks import assert_same
 from tests.synthetic import SEED_CAMERA, block_of
 
 CENTRE, EDGE = np.array([500000.0, 5400000.0, 300.0]), np.array([780000.0, 5400000.0, 300.0])
@@ -28,7 +28,7 @@ def test_grid_scale_curvature_and_axes(origin, scale):
     assert abs(np.linalg.norm(east) - 100 / scale) < 0.02 and abs(np.linalg.norm(north) - 100 / scale) < 0.02
     assert abs(up[2] - 100) < 1e-6 and np.abs(up[:2]).max() < 1e-6  # heights are not scaled
     assert abs(east[1]) < 1e-6 and east[0] > 0 and north[1] > 0  # axes are the grid's, not the meridian's
-    far = frame.to_local(origin + [0, 10000, 0])
+    far = frame.to_local(origin + np.array([0, 10000, 0]))
     assert abs(far[2] + 10000**2 / 2 / 6.37e6) < 0.1  # the earth falls away
 
 
@@ -46,7 +46,7 @@ def test_a_cartesian_truth_written_as_utm_is_found_again(origin):
     assert np.abs(got.angles - at.angles).max() < 1e-6  # axes turn with the origin, some m away, by some 1e-7 rad
     plain = resect(block_of(points, at, crs="EPSG:32632", frame="grid", map_points=frame.to_map(points)), "a").exterior
     bias = plain.centre[2] - frame.to_map(at.centre)[2]
-    scale = 100 / np.linalg.norm(frame.to_local(origin + [100, 0, 0]))
+    scale = 100 / np.linalg.norm(frame.to_local(origin + np.array([100, 0, 0])))
     assert bias == pytest.approx(300 * (scale - 1), abs=0.01)
     assert origin is EDGE or bias == pytest.approx(-0.12, abs=0.02)  # and 0.014 for the terrain height
 
@@ -74,4 +74,4 @@ def test_camera_far_from_the_control_survives_the_frame():
     at = Exterior.from_angles(0.0, 0.0, 0.0, np.array([0.0, 0.0, 5000.0]))
     frame = LocalFrame(CENTRE, "EPSG:32632")
     got = resect(block_of(points, at, SEED_CAMERA, crs="EPSG:32632", map_points=frame.to_map(points)), "a").exterior
-    assert_same(Exterior(got.m, frame.to_local(got.centre)), at, 1e-3, 5e-5)  # the axes stand at the control's centroid, some 100 m away
+    assert_same(Exterior(got.m, frame.to_local(got.centre)), at, 1e-3, 5e-5)  # axes at the centroid, 100 m off

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.checks import central
 from solvers import Exterior
 from solvers.geometry import angle_derivatives, angles, closest_rotation, exp, from_opencv, log, rotation, skew, to_opencv
+from tests.checks import central
 from tests.synthetic import random_rotation
 
 GOLDEN_M = np.array([[0.018578311671115465, 0.9987096445835933, -0.04726406828832473],
@@ -45,7 +45,8 @@ def test_kappa_turns_the_photo_about_its_axis():
 
 
 @settings(max_examples=100, deadline=None)
-@given(st.tuples(*(3 * [st.floats(-1, 1)])), st.sampled_from([0.0, 1e-12, 1e-7, 1e-5, 0.1, 3.0, np.pi - 1e-5, np.pi - 1e-9, np.pi]))
+@given(st.tuples(*(3 * [st.floats(-1, 1)])),
+       st.sampled_from([0.0, 1e-12, 1e-7, 1e-5, 0.1, 3.0, np.pi - 1e-5, np.pi - 1e-9, np.pi]))
 def test_log_inverts_exp_up_to_pi(axis, theta):
     axis = np.array(axis)
     if np.linalg.norm(axis) < 1e-3:

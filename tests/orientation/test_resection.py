@@ -195,8 +195,8 @@ def test_interfaces_of_start_and_trace():
     whole = orient(block, Request("a"))
     assert np.array_equal(conclude(start, whole.trace).covariance, whole.covariance)
     m = whole.trace.manifest
-    assert {"problem", "model", "image", "camera", "crs", "frame", "origin", "points", "xyz", "pixels", "sigma", "columns", "units",
-            "options", "initial"} <= set(m)
+    assert {"problem", "model", "image", "camera", "crs", "frame", "origin", "points", "xyz", "pixels", "sigma", "columns",
+            "units", "options", "initial"} <= set(m)
     assert len(m["columns"]) == len(whole.trace.last.x) and Interior(**m["camera"]).c == SEED_CAMERA.c
     assert isinstance(whole.trace, Trace) and np.allclose(m["initial"], whole.trace.rows[0].x[:12])
     stats = precision(start.problem.linear(whole.trace.last.x))
