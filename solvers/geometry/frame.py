@@ -93,15 +93,23 @@ class LocalFrame:
 
         Raises BadProject in a frame that is on no map.
         """
-        xyz = self.to_map(self._mapped(local))
+        return self.map_to_degrees(self.to_map(self._mapped(local)))
+
+    def map_to_degrees(self, xyz: np.ndarray) -> np.ndarray:
+        """Longitude, latitude [degrees WGS84] and height [m], (..., 3), of map coordinates (..., 3) m."""
+        xyz = self._mapped(xyz)
         lon, lat = self._to_degrees.transform(xyz[..., 0], xyz[..., 1])
         return np.stack([lon, lat, xyz[..., 2]], -1)
 
     def from_degrees(self, degrees: np.ndarray) -> np.ndarray:
         """Local coordinates (..., 3) m of longitude, latitude [degrees WGS84] and height [m]: the inverse of `to_degrees`."""
+        return self.to_local(self.map_of_degrees(degrees))
+
+    def map_of_degrees(self, degrees: np.ndarray) -> np.ndarray:
+        """Map coordinates (..., 3) m of longitude, latitude [degrees WGS84] and height [m]."""
         d = self._mapped(degrees)
         x, y = self._to_degrees.transform(d[..., 0], d[..., 1], direction="INVERSE")
-        return self.to_local(np.stack([x, y, d[..., 2]], -1))
+        return np.stack([x, y, d[..., 2]], -1)
 
     def north_east_down(self, local: np.ndarray) -> np.ndarray:
         """(3, 3) unit vectors to true north, east and down at a local position (3,), as rows, in local axes.

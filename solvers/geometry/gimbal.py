@@ -77,11 +77,14 @@ def yaw_pitch_roll(m: np.ndarray, mount: Mount, ned: np.ndarray) -> np.ndarray:
     return np.array([np.arctan2(r[1, 0], r[0, 0]), pitch, np.arctan2(r[2, 1], r[2, 2])])
 
 
-def attitude_covariance(m: np.ndarray, ned: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """(3, 3) rad^2 covariance of the left rotation vector, from errors sigma (3,) [rad] of rotation about north, east, down.
+@dataclass(frozen=True)
+class FlightLog:
+    """An autopilot's record. time (n,) s, increasing, any epoch; degrees (n, 3): longitude, latitude [WGS84], height [m, NaN
+    where not recorded]; attitude (n, 3): yaw, pitch, roll [degrees] of the aircraft, NaN where not recorded; trigger (n,)
+    bool: rows at which the camera was released, all False where the log does not say."""
 
-    Stated about fixed axes because at pitch -90 degrees yaw and roll turn about the same one, and errors of yaw, pitch and roll
-    could not express a sideways tilt.
-    """
-    to_photo = m @ ned.T
-    return to_photo @ np.diag(np.asarray(sigma, float) ** 2) @ to_photo.T
+    name: str
+    time: np.ndarray
+    degrees: np.ndarray
+    attitude: np.ndarray
+    trigger: np.ndarray

@@ -67,6 +67,7 @@ class Surface:
         p = self.grid.to_pixels(xy)
         last = np.array([self.z.shape[1] - 1, self.z.shape[0] - 1])
         finite = np.where(np.isfinite(p), np.clip(p, -2, last + 2), -2)
+        finite = np.where((finite < 0) & (finite >= -1e-9), 0.0, finite)  # the outer nodes themselves, to round-off
         cell = np.floor(finite).astype(int)
         cell = np.where((finite <= last + 1e-9) & (cell >= last), last - 1, cell)
         return cell[..., 0], cell[..., 1], finite[..., 0] - cell[..., 0], finite[..., 1] - cell[..., 1]

@@ -1,11 +1,23 @@
 """Orientation of images: initial values, perspective and orthogonal resection."""
 
 from .advisor import Advice, Prediction, advise
+from .corners import CornerControl, Flight, Grade, compare_control, corner_control
+from .flightlog import Offset, match_log
+from .footprint import CORNERS, Footprint, footprint, footprints_geojson
+from .georeference import Georeferenced, Rig, Vertical, georeference, height_bias
+from .headings import Heading, check_headings
 from .initial import Candidate, candidates, three_points
+from .intersection import Intersected, ObjectPoint, intersect
+from .monoplot import Monoplotted, Plane, monoplot
+from .oriented import Known, Oriented
 from .orthogonal import Leak, Orthogonal
 from .resection import PriorOrientation, Resection
 from .result import Orientation
 from .single import Request, Start, conclude, orient, prepare, resect, resect_orthogonal
 
-__all__ = ["Advice", "Candidate", "Leak", "Orientation", "Orthogonal", "Prediction", "PriorOrientation", "Request", "Resection",
-           "Start", "advise", "candidates", "conclude", "orient", "prepare", "resect", "resect_orthogonal", "three_points"]
+__all__ = ["CORNERS", "Advice", "Candidate", "CornerControl", "Flight", "Footprint", "Georeferenced", "Grade", "Heading",
+           "Intersected", "Known", "Leak", "Monoplotted", "ObjectPoint", "Offset", "Orientation", "Oriented", "Orthogonal",
+           "Plane", "Prediction", "PriorOrientation", "Request", "Resection", "Rig", "Start", "Vertical", "advise",
+           "candidates", "check_headings", "compare_control", "conclude", "corner_control", "footprint",
+           "footprints_geojson", "georeference", "height_bias", "intersect", "match_log", "monoplot", "orient", "prepare",
+           "resect", "resect_orthogonal", "three_points"]

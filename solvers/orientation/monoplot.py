@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -90,8 +90,7 @@ def trace_ray(image: str, interior: Interior, exterior: Exterior, frame: LocalFr
               sigma_px: float = 0.0, covariance: np.ndarray | None = None) -> Monoplotted:
     """`monoplot` of values: exterior in the local frame, covariance (6, 6) of (centre, left rotation vector) or None."""
     who = f"image '{image}': the ray of pixel col {pixel[0]:g}, row {pixel[1]:g}"
-    r = np.append(interior.ideal(np.array(pixel)), -interior.c)
-    ray = exterior.m.T @ r
+    ray = exterior.m.T @ np.append(interior.ideal(np.array(pixel)), -interior.c)
     unit = ray / np.linalg.norm(ray)
     hits = _plane_hit(who, exterior.centre, unit, frame, ground) if isinstance(ground, Plane) else \
         _surface_hits(who, exterior.centre, unit, frame, ground)
@@ -100,7 +99,11 @@ def trace_ray(image: str, interior: Interior, exterior: Exterior, frame: LocalFr
     normal, slope = _normal(frame, point, at, ground)
     grazing = float(np.arcsin(min(abs(normal @ unit) / float(np.linalg.norm(normal)), 1.0)))
     height = ground.sigma**2 + (float(slope @ slope) * ground.sigma_xy**2 if isinstance(ground, Surface) else 0.0)
-    cov = _covariance(interior, exterior, np.array(pixel), r, t / float(np.linalg.norm(ray)), normal, height, sigma_px, covariance)
+    by = partials(interior, exterior, np.array(pixel), t, normal)
+    cov = by.pixel @ by.pixel.T * sigma_px**2 + np.outer(by.height, by.height) * height
+    if covariance is not None:
+        cov = cov + by.orientation @ covariance @ by.orientation.T
+    cov = (cov + cov.T) / 2
     others = np.array([frame.to_map(exterior.centre + s * unit) for s in hits[1:]]).reshape(-1, 3)
     warnings = []
     if len(others):
@@ -114,20 +117,24 @@ def trace_ray(image: str, interior: Interior, exterior: Exterior, frame: LocalFr
     return Monoplotted(image, (float(pixel[0]), float(pixel[1])), at, cov, float(t), grazing, ground.name, others, tuple(warnings))
 
 
-def _covariance(interior: Interior, exterior: Exterior, pixel: np.ndarray, r: np.ndarray, scale: float, normal: np.ndarray,
-                height: float, sigma_px: float, covariance: np.ndarray | None) -> np.ndarray:
-    """(3, 3) m^2. With X = C + s d on the surface n (X - X_0) = dz: dX = (I - d n^T / n d) (dC + s dd) + d / (n d) dz."""
+class Partials(NamedTuple):
+    """Derivatives of a ground point (3,) by its pixel (3, 2) m/px, the orientation (3, 6) (centre, left rotation vector) and
+    the height of the ground (3,)."""
+
+    pixel: np.ndarray
+    orientation: np.ndarray
+    height: np.ndarray
+
+
+def partials(interior: Interior, exterior: Exterior, pixel: np.ndarray, distance: float, normal: np.ndarray) -> Partials:
+    """With X = C + s d on the surface n (X - X_0) = dz: dX = (I - d n^T / n d) (dC + s dd) + d / (n d) dz."""
+    r = np.append(interior.ideal(pixel), -interior.c)
     d = exterior.m.T @ r
-    onto = np.eye(3) - np.outer(d, normal) / (normal @ d)
+    scale, onto = distance / float(np.linalg.norm(d)), np.eye(3) - np.outer(d, normal) / (normal @ d)
     reduced = interior.photo(pixel) - interior.principal_point
     to_mm = correct_jacobian(interior.coefficients, reduced) @ np.diag(np.array([1.0, -1.0]) * interior.pitch)
-    by_pixel = onto @ (scale * exterior.m.T[:, :2] @ to_mm)
-    along = d / (normal @ d)
-    cov = by_pixel @ by_pixel.T * sigma_px**2 + np.outer(along, along) * height
-    if covariance is not None:
-        by_orientation = onto @ np.hstack([np.eye(3), scale * exterior.m.T @ skew(r)])
-        cov = cov + by_orientation @ covariance @ by_orientation.T
-    return (cov + cov.T) / 2
+    return Partials(onto @ (scale * exterior.m.T[:, :2] @ to_mm), onto @ np.hstack([np.eye(3), scale * exterior.m.T @ skew(r)]),
+                    d / (normal @ d))
 
 
 def _normal(frame: LocalFrame, point: np.ndarray, at: np.ndarray, ground: Ground) -> tuple[np.ndarray, np.ndarray]:
