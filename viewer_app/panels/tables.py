@@ -43,11 +43,8 @@ def orientation_table(state: State) -> str:
         cells.append("" if difference is None else f"{difference:+.{places}f}")
         rows.append(("", cells))
     head = ("", f"{swatch(COLOURS['perspective'])}perspective", "1σ", f"{swatch(COLOURS['orthogonal'])}orthogonal", "1σ", "o − p")
-    sigma0 = [
-        f"{s.orientation.sigma0:.3f}" if (s := state.solution(m)) and s.orientation and s.orientation.sigma0 is not None else "–"
-        for m in MODELS
-    ]
-    rms = [f"{s.orientation.rms_px:.3f}" if (s := state.solution(m)) and s.orientation else "–" for m in MODELS]
+    sigma0 = [_number(r.sigma0 if (s := state.solution(m)) and (r := s.row(state.row)) else None) for m in MODELS]
+    rms = [_number(_rms(sight(state, m))) for m in MODELS]
     used = [f"{int(s.orientation.used.sum())}" if (s := state.solution(m)) and s.orientation else "–" for m in MODELS]
     rows += [
         ("", ("σ0", sigma0[0], "", sigma0[1], "", "")),
@@ -55,6 +52,15 @@ def orientation_table(state: State) -> str:
         ("", ("GCPs", used[0], "", used[1], "", "")),
     ]
     return f"<div {BOX}>{table(head, rows, 'Orientation')}</div>"
+
+
+def _rms(seen: Sight | None) -> float | None:
+    """Length of the two-dimensional residual [px] over the points used, at the row shown."""
+    return None if seen is None or not seen.used.any() else float(np.sqrt((seen.residuals[seen.used] ** 2).sum(axis=1).mean()))
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None or not np.isfinite(value) else f"{value:.3f}"
 
 
 def words(state: State) -> str:
