@@ -31,17 +31,30 @@ def figure(width: float = 7.0, height: float = 4.2, **kwargs: Any) -> tuple[Any,
 
 
 def save(fig: Any, folder: Path, name: str) -> list[Path]:
-    """PNG (150 dpi) and SVG of a figure, the SVG without dates so that it can be compared."""
+    """PNG (120 dpi) and SVG of a figure, the SVG with text as text and without dates so that it can be compared."""
+    from matplotlib import rc_context
+
     paths = [folder / f"{name}.png", folder / f"{name}.svg"]
-    fig.savefig(paths[0], dpi=150)
-    fig.savefig(paths[1], metadata={"Date": None})
+    fig.savefig(paths[0], dpi=120)
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
+        fig.savefig(paths[1], metadata={"Date": None})
     return paths
 
 
-def table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """A Markdown table; floats with three significant digits."""
+def number(value: float, digits: int = 3) -> str:
+    """A number with at most so many significant digits, never in powers of ten."""
+    return f"{float(f'{value:.{digits}g}'):.12f}".rstrip("0").rstrip(".")
+
+
+def probability(p: float) -> str:
+    """A probability in words that stay readable when it is tiny."""
+    return f"{p:.1%}" if p >= 0.001 else f"1 in {1 / p:.0e}" if p > 0 else "0"
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[Any]], digits: int = 3) -> str:
+    """A Markdown table; floats with so many significant digits."""
     def cell(value: Any) -> str:
-        return f"{value:.3g}" if isinstance(value, float) else str(value)
+        return number(value, digits) if isinstance(value, float) else str(value)
 
     lines = ["| " + " | ".join(header) + " |", "|" + " --- |" * len(header)]
     return "\n".join([*lines, *("| " + " | ".join(map(cell, row)) + " |" for row in rows)])
