@@ -31,7 +31,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
     require_chromium()
     folder = tmp_path_factory.mktemp("viewer") / "demo"
     shutil.copytree(DEMO, folder, ignore=shutil.ignore_patterns("runs"))
-    with App(folder) as app, viser_page(app.port, size=(1000, 560)) as v:
+    with App(folder) as app, viser_page(app.port, size=(1200, 720)) as v:
         v.page.set_default_timeout(60_000)
         settle(app, v)
         v.dismiss_notifications()
