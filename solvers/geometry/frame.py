@@ -117,11 +117,13 @@ class LocalFrame:
         Grid north against true north (meridian convergence) and the curvature of the earth since the origin are in them.
         """
         lon, lat = np.radians(self.to_degrees(local)[:2])
-        east, up = np.array([-np.sin(lon), np.cos(lon), 0]), np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+        east, up = np.array([-np.sin(lon), np.cos(lon), 0]), np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon),
+                                                                       np.sin(lat)])
         _, axes = self._tangent
         return np.stack([np.cross(up, east), east, -up]) @ axes.T
 
     def _mapped(self, values: np.ndarray) -> np.ndarray:
         if self.cartesian:
-            raise BadProject("longitude and latitude have no place in a project with crs \"local\"; give the project the crs of its map")
+            raise BadProject("longitude and latitude have no place in a project with crs \"local\"; give the project the crs of "
+                             "its map")
         return np.asarray(values, float)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -43,12 +43,13 @@ def read_onboard(path: Path | str, image: str | None = None) -> Onboard:
     sigma_m, from_m = _position_sigma(tags)
     sigma_deg, from_deg = _attitude_sigma(tags)
     stated += [s for s in (said, from_m, from_deg) if s]
-    return Onboard(image or path.stem, lat, lon, height, datum, tags.get("drone-dji:RelativeAltitude"), attitude, mount, body, sigma_m,
+    return Onboard(image or path.stem, lat, lon, height, datum, tags.get("drone-dji:RelativeAltitude"), attitude, mount, body,
+                   sigma_m,
                    sigma_deg, photo_time(path), tuple(stated))
 
 
 def photo_time(path: Path | str) -> float | None:
-    """When a photo was taken by the camera's clock: seconds since 1970 as if that clock showed UTC; None where it does not say."""
+    """When a photo was taken by the camera's clock: seconds since 1970 as if it showed UTC; None where absent."""
     with opened(Path(path)) as photo:
         top = photo.getexif()
         tags = top.get_ifd(0x8769)
@@ -61,7 +62,7 @@ def photo_time(path: Path | str) -> float | None:
 
 
 def clock(text: str) -> float | None:
-    """Seconds of a time in words: a number as it is, else date and time (2016:07:29 07:13:49.2, ISO 8601) as seconds since 1970."""
+    """Seconds of a time in words: a number as it is, else date and time (2016:07:29 07:13:49.2, ISO 8601) as such since 1970."""
     text = text.strip("\0 ")
     try:
         number = float(text)
@@ -72,7 +73,7 @@ def clock(text: str) -> float | None:
         when = datetime.fromisoformat(re.sub(r"^(\d{4})[:/](\d\d)[:/](\d\d)", r"\1-\2-\3", text))
     except ValueError:
         return None
-    return (when if when.tzinfo else when.replace(tzinfo=timezone.utc)).timestamp()
+    return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
 
 
 def _xmp(path: Path) -> tuple[dict[str, float], str]:
@@ -163,4 +164,4 @@ def _attitude_sigma(tags: Mapping[str, float]) -> tuple[tuple[float, float, floa
     if None in values or min(values) <= 0:  # type: ignore[type-var]
         return None, ""
     tilt = max(values[0], values[1])  # type: ignore[type-var]
-    return (tilt, tilt, values[2]), "attitude sigma: IMURollAccuracy, IMUPitchAccuracy, IMUYawAccuracy"  # type: ignore[return-value]
+    return (tilt, tilt, values[2]), "attitude sigma: IMU...Accuracy"  # type: ignore[return-value]

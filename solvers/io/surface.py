@@ -40,23 +40,24 @@ def read_surface(path: Path | str, bounds: tuple[float, float, float, float] | N
                 left, top, right, bottom = 0, 0, data.width, data.height
                 if bounds is not None:
                     corners = whole.to_pixels(np.array([[bounds[i], bounds[j]] for i in (0, 2) for j in (1, 3)]))
-                    (left, top), (right, bottom) = np.floor(corners.min(axis=0)).astype(int) - 1, np.ceil(corners.max(axis=0)).astype(int) + 3
+                    left, top = np.floor(corners.min(axis=0)).astype(int) - 1
+                    right, bottom = np.ceil(corners.max(axis=0)).astype(int) + 3
                     left, top, right, bottom = max(left, 0), max(top, 0), min(right, data.width), min(bottom, data.height)
                 if right - left < 2 or bottom - top < 2:
                     raise BadProject(f"{path}: the height grid has no cells at this place; take one of the site, in the same crs")
                 if (right - left) * (bottom - top) > LARGEST:
-                    raise Unsupported(f"{path}: {(right - left) * (bottom - top) / 1e6:.0f} million cells; cut out the site first")
+                    raise Unsupported(f"{path}: {(right - left) * (bottom - top) / 1e6:.0f} million cells; cut out the site")
                 band = data.read(1, window=Window.from_slices((top, bottom), (left, right)), masked=True)
                 a, b, c, d, e, f = whole.affine
     except RasterioIOError as error:
-        raise Unsupported(f"{path}: the height grid cannot be read ({' '.join(str(error).split())}); write it as a GeoTIFF") from None
+        raise Unsupported(f"{path}: it cannot be read ({' '.join(str(error).split())}); write it as a GeoTIFF") from None
     moved = (a, b, c + a * left + b * top, d, e, f + d * left + e * top)
     return Surface(Grid(band.shape, moved, crs), np.ma.filled(band.astype(float), np.nan), sigma, sigma_xy, path.name)
 
 
 def find_geoid() -> Path | None:
     """A global geoid grid on this machine (in PROJ's data folders), None where there is none; nothing is downloaded."""
-    from pyproj import datadir
+    from pyproj.datadir import get_data_dir, get_user_data_dir  # pyright: ignore[reportPrivateImportUsage]
 
-    folders = [Path(p) for p in (*datadir.get_data_dir().split(";"), datadir.get_user_data_dir(), "/usr/share/proj")]
+    folders = [Path(p) for p in (*get_data_dir().split(";"), get_user_data_dir(), "/usr/share/proj")]
     return next((f / name for name in GEOIDS for f in folders if (f / name).is_file()), None)

@@ -25,7 +25,8 @@ ALIASES = {
 }
 """Column names that are understood, small letters and digits only."""
 SCALE = {"timeus": 1e-6, "timems": 1e-3}
-_DMS = re.compile(r"""^([+-]?\d+(?:\.\d+)?)[°d\s:]+(\d+(?:\.\d+)?)['m\s:]*(?:(\d+(?:\.\d+)?)["s]?)?\s*([NSEW]?)$""", re.IGNORECASE)
+_N = r"(\d+(?:\.\d+)?)"
+_DMS = re.compile(rf"""^([+-]?\d+(?:\.\d+)?)[°d\s:]+{_N}['m\s:]*(?:{_N}["s]?)?\s*([NSEW]?)$""", re.IGNORECASE)
 
 
 def read_mrk(path: Path | str, images: Sequence[str], ppk: bool = False) -> list[Onboard]:
@@ -40,7 +41,8 @@ def read_mrk(path: Path | str, images: Sequence[str], ppk: bool = False) -> list
         head = re.match(r"\s*\d+\s+(\d+(?:\.\d+)?)\s", text)
         after = re.search(r"Ellh\s+([\d.]+)\s*,\s*([\d.]+)\s*,\s*([\d.]+)", text)
         if head is None or len(labels) < 6:
-            raise BadTable(f"{path} line {line}: expected number, time, [week], offsets N E V, Lat, Lon, Ellh, sigmas and Q as in a "
+            raise BadTable(f"{path} line {line}: expected number, time, [week], offsets N E V, Lat, Lon, Ellh, sigmas and Q as "
+                           "in a "
                            "DJI .MRK; give the file as the aircraft wrote it")
         lat, lon, height = labels["lat"], labels["lon"], labels["ellh"]
         if ppk:
@@ -105,8 +107,10 @@ def _onboard(path: Path, line: int, header: dict[str, int], cells: list[str]) ->
     sigma = (hacc, hacc, vacc if np.isfinite(vacc) else 2 * hacc) if np.isfinite(hacc) and hacc > 0 else None
     time = clock(cells[header["time"]]) if "time" in header else None
     known = bool(np.isfinite(height))
-    return Onboard(Path(cells[header["image"]]).stem, lat, lon, height if known else None, "unknown", attitude=attitude, body=attitude,
-                   sigma_m=sigma, time=time, stated=(f"position: {path.name}", *(["height: datum not stated by the table"] if known else [])))
+    return Onboard(Path(cells[header["image"]]).stem, lat, lon, height if known else None, "unknown", attitude=attitude,
+                   body=attitude,
+                   sigma_m=sigma, time=time,
+                   stated=(f"position: {path.name}", *(["height: datum not stated by the table"] if known else [])))
 
 
 def _geo_txt(path: Path, crs: str, lines: list[tuple[int, list[str]]]) -> list[Onboard]:
@@ -123,8 +127,10 @@ def _geo_txt(path: Path, crs: str, lines: list[tuple[int, list[str]]]) -> list[O
         lon, lat = (x, y) if is_geographic(code) else transformed(np.array([[x, y, 0.0]]), code, "EPSG:4326")[0, :2]
         attitude = (values[3], values[4], values[5]) if len(values) >= 6 else None
         sigma = (values[6], values[6], values[7]) if len(values) >= 8 else None
-        out.append(Onboard(Path(cells[0]).stem, float(lat), float(lon), float(z) if np.isfinite(z) else None, "unknown", attitude=attitude,
-                           body=attitude, sigma_m=sigma, stated=(f"position: {path.name}", "height: datum as geo.txt has it, not stated")))
+        out.append(Onboard(Path(cells[0]).stem, float(lat), float(lon), float(z) if np.isfinite(z) else None, "unknown",
+                           attitude=attitude,
+                           body=attitude, sigma_m=sigma, stated=(f"position: {path.name}", "height: datum as geo.txt has it, "
+                                                                                           "not stated")))
     return out
 
 
@@ -142,7 +148,8 @@ def _cells(text: str) -> list[str]:
     return text.split()
 
 
-def _named(path: Path, lines: list[tuple[int, list[str]]], required: Sequence[str]) -> tuple[dict[str, int], list[tuple[int, list[str]]]]:
+def _named(path: Path, lines: list[tuple[int, list[str]]], required: Sequence[str]) -> tuple[dict[str, int],
+                                                                                             list[tuple[int, list[str]]]]:
     """Which column holds what, and the rows. Raises BadTable."""
     if not lines:
         raise BadTable(f"{path}: the table is empty; give a header line")
@@ -150,7 +157,8 @@ def _named(path: Path, lines: list[tuple[int, list[str]]], required: Sequence[st
     header = {what: names.index(n) for what, known in ALIASES.items() for n in reversed(known) if n in names}
     for what in required:
         if what not in header:
-            raise BadTable(f"{path} line {lines[0][0]}: there is no column for {what} (one of {', '.join(ALIASES[what][:5])}); name it in the header")
+            raise BadTable(f"{path} line {lines[0][0]}: there is no column for {what} (one of {', '.join(ALIASES[what][:5])}); "
+                           "name it in the header")
     rows = []
     for line, [text] in lines[1:]:
         cells = _cells(text)

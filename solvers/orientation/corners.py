@@ -57,7 +57,8 @@ def corner_control(block: Block, oriented: Oriented, z: float, sigma_z: float, s
         cov[rows, rows] = by.pixel @ by.pixel.T * sigma_px**2 + np.outer(by.height, by.height) * sigma_z**2
     if covariance is not None:
         cov += by_orientation @ covariance @ by_orientation.T
-    return CornerControl(oriented.image, tuple(f"{oriented.image} F{k + 1} {c}" for k, c in enumerate(CORNERS)), xyz, (cov + cov.T) / 2, pixels)
+    return CornerControl(oriented.image, tuple(f"{oriented.image} F{k + 1} {c}" for k, c in enumerate(CORNERS)), xyz,
+                         (cov + cov.T) / 2, pixels)
 
 
 def vertical_corners(interior: Interior, centre: np.ndarray, kappa: float, z: float) -> np.ndarray:
@@ -110,12 +111,14 @@ def compare_control(flight: Flight, rng: np.random.Generator, *, gps_m: Sequence
     block, control_of = _simulated(flight, rng), len(flight.control)
     onboard = tuple(_disturbed(f"i{k}", e, np.array(gps_m), np.radians(imu_deg), rng) for k, e in enumerate(flight.exteriors))
     out = []
-    vertical = [_from_corners(block, o.image, vertical_corners(flight.interior, o.exterior.centre, float(o.exterior.angles[2]), flight.z), None)
+    vertical = [_from_corners(block, o.image,
+                              vertical_corners(flight.interior, o.exterior.centre, float(o.exterior.angles[2]), flight.z), None)
                 for o in onboard]
     out.append(_graded("vertical corners (printed formula)", block, vertical, flight))
     out.append(_graded("onboard GPS and IMU", block, onboard, flight))
     corners = [corner_control(block, o, flight.z, flight.relief) for o in onboard]
-    out.append(_graded("onboard corners as correlated control", block, [_from_corners(block, c.image, c.xyz, c.covariance) for c in corners], flight))
+    out.append(_graded("onboard corners as correlated control", block,
+                       [_from_corners(block, c.image, c.xyz, c.covariance) for c in corners], flight))
     for name, sigma in (("coarse control", coarse_m), ("surveyed control", surveyed_m)):
         moved = flight.control + np.array(sigma) * rng.standard_normal((control_of, 3))
         points = replace(block.points, xyz=np.vstack([moved, flight.check]),

@@ -22,7 +22,8 @@ class Offset:
     how: str
 
 
-def match_log(log: FlightLog, photos: Sequence[Onboard], offset: float | None = None, sigma_m: float = 5.0) -> tuple[list[Onboard], Offset]:
+def match_log(log: FlightLog, photos: Sequence[Onboard], offset: float | None = None,
+              sigma_m: float = 5.0) -> tuple[list[Onboard], Offset]:
     """Photos with position and attitude of the log at their times.
 
     offset: log time minus photo time [s]; None: estimated, from the photos' own coarse positions where they have them, else from
@@ -37,13 +38,15 @@ def match_log(log: FlightLog, photos: Sequence[Onboard], offset: float | None = 
     at = times + found.seconds
     for p, t in zip(photos, at, strict=True):
         if not log.time[0] <= t <= log.time[-1]:
-            raise BadProject(f"image '{p.image}' was taken {min(abs(t - log.time[0]), abs(t - log.time[-1])):.1f} s outside {log.name} "
+            raise BadProject(f"image '{p.image}' was taken {min(abs(t - log.time[0]), abs(t - log.time[-1])):.1f} s outside "
+                             f"{log.name} "
                              "(with the clocks' offset); give the log of this flight")
     degrees = np.stack([np.interp(at, log.time, log.degrees[:, k]) for k in range(3)], 1)
     attitude = np.degrees(np.stack([np.interp(at, log.time, np.unwrap(np.radians(log.attitude[:, k]))) for k in range(3)], 1)) \
         if np.isfinite(log.attitude).all() else np.full((len(at), 3), np.nan)
     speed = np.linalg.norm(_metres(np.stack([np.interp(at + 0.5, log.time, log.degrees[:, k]) for k in range(3)], 1)
-                                   - np.stack([np.interp(at - 0.5, log.time, log.degrees[:, k]) for k in range(3)], 1), degrees), axis=1)
+                                   - np.stack([np.interp(at - 0.5, log.time, log.degrees[:, k]) for k in range(3)], 1), degrees),
+                                   axis=1)
     said = f"position: {log.name}, clocks {found.seconds:+.2f} s apart (sigma {found.sigma:.2f} s, {found.how})"
     out = []
     for p, d, a, v in zip(photos, degrees, attitude, speed, strict=True):
@@ -63,7 +66,8 @@ def estimate_offset(log: FlightLog, photos: Sequence[Onboard], sigma_m: float = 
         return _by_position(log, located, sigma_m)
     if log.trigger.sum() >= len(photos) >= 3:
         return _by_triggers(log.time[log.trigger], np.array([p.time for p in photos], float), log.name)
-    raise DegenerateGeometry(f"{log.name}: the clocks' offset cannot be estimated: the photos have no positions of their own and the log does "
+    raise DegenerateGeometry(f"{log.name}: the clocks' offset cannot be estimated: the photos have no positions of their own "
+                             "and the log does "
                              "not mark at least three triggers; enter the offset")
 
 
@@ -98,7 +102,8 @@ def _by_position(log: FlightLog, photos: Sequence[Onboard], sigma_m: float) -> O
     least = float(cost(np.array([best]))[0])
     if far.any() and values[far].min() < least + 9:
         other = float(grid[far][int(np.argmin(values[far]))])
-        raise DegenerateGeometry(f"{log.name}: two offsets of the clocks fit alike, {best:.1f} s and {other:.1f} s; enter the right one")
+        raise DegenerateGeometry(f"{log.name}: two offsets of the clocks fit alike, {best:.1f} s and {other:.1f} s; enter the "
+                                 "right one")
     return Offset(best, sigma, f"{len(photos)} photo positions")
 
 
@@ -110,7 +115,8 @@ def _by_triggers(triggers: np.ndarray, times: np.ndarray, name: str) -> Offset:
     best = int(np.argmin(spread))
     second = np.delete(spread, best).min(initial=np.inf)
     if spread[best] > 1.0 or second < 2 * max(float(spread[best]), 0.05):
-        raise DegenerateGeometry(f"{name}: the intervals between photos do not tell which triggers are theirs (best fit {spread[best]:.2f} s, next "
+        raise DegenerateGeometry(f"{name}: the intervals between photos do not tell which triggers are theirs (best fit "
+                                 f"{spread[best]:.2f} s, next "
                                  f"{second:.2f} s); enter the clocks' offset")
     sigma = max(float(spread[best]), 0.01) / np.sqrt(len(order))
     return Offset(float(runs[best].mean()), float(sigma), f"{len(order)} triggers")

@@ -16,7 +16,7 @@ from .monoplot import Ground, trace_ray
 from .oriented import Oriented, frame_of, local, vector_covariance
 
 CORNERS = ("upper right", "upper left", "lower left", "lower right")
-"""Order of the corners F1 to F4 everywhere, in the photo frame (x right, y up): counterclockwise, from above, of an upright photo."""
+"""Order of the corners F1 to F4 everywhere, in the photo frame (x right, y up): counterclockwise in the photo."""
 
 
 def corner_pixels(interior: Interior) -> np.ndarray:
@@ -61,16 +61,19 @@ def footprints_geojson(footprints: Sequence[Footprint], crs: str, properties: Se
     Raises BadProject for a crs that is on no map.
     """
     if crs == "local":
-        raise BadProject("GeoJSON needs longitude and latitude, and crs \"local\" is on no map; give the project the crs of its map")
+        raise BadProject("GeoJSON needs longitude and latitude, and crs \"local\" is on no map; give the project the crs of its "
+                         "map")
     frame, features = LocalFrame(np.zeros(3), crs), []
     for k, f in enumerate(footprints):
         ring = frame.map_to_degrees(f.outline)[:, :2]
         ring[:, 0] = ring[0, 0] + (ring[:, 0] - ring[0, 0] + 180) % 360 - 180  # one piece, across 180 degrees if need be
         parts = [_closed(part - [360 * turn, 0]) for turn in (-1, 0, 1)
                  if len(part := _between(ring, 360 * turn - 180.0, 360 * turn + 180.0)) >= 3]
-        geometry = {"type": "Polygon", "coordinates": parts[0]} if len(parts) == 1 else {"type": "MultiPolygon", "coordinates": parts}
+        geometry = {"type": "Polygon", "coordinates": parts[0]} if len(parts) == 1 else {"type": "MultiPolygon",
+                                                                                         "coordinates": parts}
         features.append({"type": "Feature", "geometry": geometry,
-                         "properties": {"image": f.image, "surface": f.surface, "area_m2": round(f.area, 2), **(properties[k] if properties else {})}})
+                         "properties": {"image": f.image, "surface": f.surface, "area_m2": round(f.area, 2),
+                                        **(properties[k] if properties else {})}})
     return {"type": "FeatureCollection", "features": features}
 
 

@@ -12,7 +12,7 @@ from ..block import Block, Prior
 from ..cameras import project_derivatives
 from ..errors import BadProject, DegenerateGeometry
 from ..geometry import Exterior, LocalFrame, Onboard, Surface, body_to_ned, photo_rotation, skew
-from .oriented import by_image, frame_of, local, vector_covariance
+from .oriented import Oriented, by_image, frame_of, local, vector_covariance
 from .result import ANGLES
 
 GPS_SIGMA_M = (5.0, 5.0, 10.0)
@@ -99,8 +99,10 @@ class Georeferenced:
         values = [*map(float, self.exterior.centre), *map(float, np.degrees(self.exterior.angles))]
         sigma = np.concatenate([self.sigma[:3], np.degrees(self.sigma[3:])])
         return {"image": self.image, "model": self.model, **dict(zip(keys, values, strict=True)),
-                "sigma": dict(zip(keys, map(float, sigma), strict=True)), "sigma_scaled": None, "covariance": self.covariance.tolist(),
-                "sigma0": None, "dof": 0, "rms_px": None, "rms_px_coordinate": None, "iterations": 0, "converged": True, "stop": None,
+                "sigma": dict(zip(keys, map(float, sigma), strict=True)), "sigma_scaled": None,
+                "covariance": self.covariance.tolist(),
+                "sigma0": None, "dof": 0, "rms_px": None, "rms_px_coordinate": None, "iterations": 0, "converged": True,
+                "stop": None,
                 "residuals": [], "rejected": [], "heights": self.heights, "convergence_deg": self.convergence_deg,
                 "notes": list(self.notes), "warnings": list(self.warnings), "alternatives": [], "discrimination": None}
 
@@ -119,7 +121,8 @@ def georeference(onboard: Sequence[Onboard], crs: str, *, frame: LocalFrame | No
         return ()
     frame = frame or LocalFrame.around(LocalFrame(np.zeros(3), crs).map_of_degrees(degrees), crs)
     antennas = frame.from_degrees(degrees)
-    return tuple(_one(o, a, _course(antennas, k), h, frame, rig) for k, (o, a, h) in enumerate(zip(onboard, antennas, heights, strict=True)))
+    return tuple(_one(o, a, _course(antennas, k), h, frame, rig) for k,
+                 (o, a, h) in enumerate(zip(onboard, antennas, heights, strict=True)))
 
 
 def _one(o: Onboard, antenna: np.ndarray, course: float | None, height: tuple[float, float, str, list[str]], frame: LocalFrame,
@@ -140,7 +143,8 @@ def _one(o: Onboard, antenna: np.ndarray, course: float | None, height: tuple[fl
     sigma_m = rig.sigma_m or o.sigma_m or GPS_SIGMA_M
     unknown = ATTITUDE_SIGMA_DEG[kind] if kind != "none" or course is not None else (5.0, 5.0, 104.0)  # uniform over the circle
     sigma_deg = rig.sigma_deg or o.sigma_deg or unknown
-    notes += [f"{what} sigma {' '.join(f'{s:g}' for s in values)} {unit}: {'entered' if given else 'assumed'}" for what, values, unit, given, said in
+    notes += [f"{what} sigma {' '.join(f'{s:g}' for s in values)} {unit}: {'entered' if given else 'assumed'}" for what, values,
+              unit, given, said in
               (("position", sigma_m, "m", rig.sigma_m, o.sigma_m), ("attitude", sigma_deg, "degrees", rig.sigma_deg, o.sigma_deg))
               if given or not said]
     up = np.hypot(sigma_m[2], height[1])  # attitude errors are about north, east, down: at pitch -90 yaw and roll are one axis
@@ -167,7 +171,8 @@ def _same_errors(g: Georeferenced, m: np.ndarray) -> np.ndarray:
 
 def _position(o: Onboard) -> tuple[float, float]:
     if o.lat is None or o.lon is None:
-        raise BadProject(f"image '{o.image}' has no GPS position; give a table of positions (image, lat, lon, height) or a flight log, "
+        raise BadProject(f"image '{o.image}' has no GPS position; give a table of positions (image, lat, lon, height) or a "
+                         "flight log, "
                          "or leave the image out")
     return o.lon, o.lat
 
@@ -193,7 +198,8 @@ def _height(o: Onboard, v: Vertical) -> tuple[float, float, str, list[str]]:
         elif source in ("ellipsoidal", "levelled"):
             warnings.append(f"heights are {source} and the project's are {v.target}: give a geoid grid, the undulation or a bias")
         elif not v.bias and not v.bias_sigma:
-            warnings.append(f"the datum of the recorded heights is not known ({source}): they are taken as {v.target}; estimate a bias with "
+            warnings.append(f"the datum of the recorded heights is not known ({source}): they are taken as {v.target}; estimate "
+                            "a bias with "
                             "control points, or enter it")
     return height + shift + v.bias, sigma, words + _bias(v), warnings
 
@@ -210,7 +216,8 @@ def _undulation(o: Onboard, undulation: float | Surface) -> tuple[float, str]:
     if not np.isfinite(n):
         n = float(undulation.sample(np.array([lon % 360, lat])))
     if not np.isfinite(n):
-        raise BadProject(f"image '{o.image}' at latitude {lat:.4f}, longitude {lon:.4f} lies outside the geoid grid {undulation.name}; "
+        raise BadProject(f"image '{o.image}' at latitude {lat:.4f}, longitude {lon:.4f} lies outside the geoid grid "
+                         f"{undulation.name}; "
                          "take a grid of the site")
     return n, f"the geoid grid {undulation.name}"
 
@@ -226,7 +233,7 @@ def _true(course: float, ned: np.ndarray) -> float:
     return course - float(np.arctan2(ned[0, 0], ned[0, 1]))
 
 
-def height_bias(block: Block, georeferenced: Sequence[Georeferenced]) -> tuple[float, float, int]:
+def height_bias(block: Block, georeferenced: Sequence[Oriented]) -> tuple[float, float, int]:
     """What must be added to the heights of all cameras so that they show the control points where they are measured.
 
     Gives the bias [m], its standard error and the number of measurements it rests on. The cameras' own covariances weigh them
@@ -242,18 +249,19 @@ def height_bias(block: Block, georeferenced: Sequence[Georeferenced]) -> tuple[f
                 continue
             e = local(o, frame)
             of = block.observations
-            at = project_derivatives(block.camera_of(name), Exterior(e.m, e.centre + [0, 0, bias]), frame.to_local(block.points.xyz[of.point[rows]]))
+            at = project_derivatives(block.camera_of(name), Exterior(e.m, e.centre + np.array([0, 0, bias])),
+                                     frame.to_local(block.points.xyz[of.point[rows]]))
             s = np.where(np.isfinite(of.sigma[rows]), of.sigma[rows], block.image_px)
             c = vector_covariance(o)
-            assert c is not None
-            c = c.copy()
+            c = np.zeros((6, 6)) if c is None else c.copy()
             c[2, :], c[:, 2] = 0.0, 0.0  # the height is what is looked for
             j = np.concatenate([at.centre, at.rotation], axis=2).reshape(-1, 6)
             p = np.linalg.inv(np.diag(np.repeat(s, 2) ** 2) + j @ c @ j.T)
             v, a = (of.pixel[rows] - at.pixels).ravel(), at.centre[:, :, 2].ravel()
             n, g, count = n + a @ p @ a, g + a @ p @ v, count + len(rows)
         if not count:
-            raise DegenerateGeometry(f"{block.name}: no control point is measured in a georeferenced image; a height bias needs at least one")
+            raise DegenerateGeometry(f"{block.name}: no control point is measured in a georeferenced image; a height bias needs "
+                                     "at least one")
         if not n > 0:
             raise DegenerateGeometry(f"{block.name}: the control points do not determine a height bias; enter it")
         bias, sigma = bias + g / n, float(1 / np.sqrt(n))

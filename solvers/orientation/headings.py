@@ -11,7 +11,7 @@ from ..block import Block
 from ..geometry import LocalFrame
 from .georeference import Georeferenced
 from .monoplot import Plane, trace_ray
-from .oriented import by_image, frame_of, local
+from .oriented import Oriented, by_image, frame_of, local
 
 REVERSED = 20.0
 """A correction within this of 180 degrees is called reversed."""
@@ -79,10 +79,11 @@ def _heading(image: str, rows: np.ndarray) -> Heading:
     return Heading(image, clockwise, sigma, len(rows), float(np.median(rows[:, 2])), words)
 
 
-def _offsets(block: Block, g: Georeferenced, frame: LocalFrame, pixels: np.ndarray, z: float) -> np.ndarray:
+def _offsets(block: Block, g: Oriented, frame: LocalFrame, pixels: np.ndarray, z: float) -> np.ndarray:
     """(k, 2) horizontal offsets of pixels' ground points from the camera's nadir, local axes."""
     at, interior = local(g, frame), block.camera_of(g.image)
-    return np.array([frame.to_local(trace_ray(g.image, interior, at, frame, (p[0], p[1]), Plane(z)).ground)[:2] for p in pixels]) - at.centre[:2]
+    return np.array([frame.to_local(trace_ray(g.image, interior, at, frame, (p[0], p[1]),
+                                              Plane(z)).ground)[:2] for p in pixels]) - at.centre[:2]
 
 
 def _similarity(source: np.ndarray, target: np.ndarray, trials: int = 200) -> tuple[float, np.ndarray, int] | None:

@@ -61,7 +61,8 @@ class ObjectPoint:
         return {"name": self.name, **dict(zip("XYZ", map(float, self.xyz), strict=True)),
                 **dict(zip(("sX", "sY", "sZ"), map(float, sigma), strict=True)), "role": self.role,
                 **{k: float(d) if np.isfinite(d) else None for k, d in zip(("dX", "dY", "dZ"), off, strict=True)},
-                "covariance": self.covariance.tolist(), "sigma0": self.sigma0, "dof": self.dof, "angle_deg": float(np.degrees(self.angle)),
+                "covariance": self.covariance.tolist(), "sigma0": self.sigma0, "dof": self.dof,
+                "angle_deg": float(np.degrees(self.angle)),
                 "residuals": [{"image": i, "col": float(v[0]), "row": float(v[1]), "redundancy": [float(x) for x in r], "w": t,
                                "used": bool(u)} for i, v, r, t, u in
                               zip(self.images, self.residuals, self.redundancy, w, self.used, strict=True)],
@@ -79,7 +80,8 @@ class Intersected:
     def to_json(self) -> dict[str, Any]:
         """The JSON of the command intersect."""
         failed = {"failed": [{"point": n, "why": w} for n, w in self.failed]} if self.failed else {}
-        return {"points": [p.to_json() for p in self.points], "iterations": self.trace.iterations, "converged": self.trace.converged,
+        return {"points": [p.to_json() for p in self.points], "iterations": self.trace.iterations,
+                "converged": self.trace.converged,
                 "stop": self.trace.last.stop, **failed}
 
 
@@ -107,13 +109,15 @@ def intersect(block: Block, orientations: Iterable[Oriented] | Mapping[str, Orie
     failed += [(names[p], f"point '{names[p]}': {text}") for p, text in sorted(why.items())]
     good = np.array([p not in why for p in range(problem.count)], bool)
     if not good.any():
-        raise DegenerateGeometry(failed[0][1] if failed else f"{block.name}: no point is seen in two oriented images; measure points "
+        raise DegenerateGeometry(failed[0][1] if failed else f"{block.name}: no point is seen in two oriented images; measure "
+                                                             "points "
                                  "in observations.csv")
     used = used[good[problem.point]]
     problem = problem.only(good)
     trace = solve(problem.take(used), problem.take(used).start(), manifest={"problem": "intersection", "images": list(oriented)})
     names = [n for n, ok in zip(names, good, strict=True) if ok]
-    return Intersected(_describe(block, problem, used, trace, names, tuple(oriented), frame, _joint(oriented, joint)), tuple(failed), trace)
+    return Intersected(_describe(block, problem, used, trace, names, tuple(oriented), frame, _joint(oriented, joint)),
+                       tuple(failed), trace)
 
 
 def _prepare(block: Block, oriented: Mapping[str, Oriented], frame: LocalFrame,
@@ -128,7 +132,8 @@ def _prepare(block: Block, oriented: Mapping[str, Oriented], frame: LocalFrame,
             rows.setdefault(int(of.point[r]), []).append(r)
     images = {j: sorted({block.images[of.image[r]].name for r in rs}) for j, rs in rows.items()}
     failed = [(block.points.names[j], f"point '{block.points.names[j]}': {'no' if not i else 'one'} ray only"
-               f"{f' (image {i[0]})' if i else ''}; measure it in another oriented image") for j, i in images.items() if j in wanted and len(i) < 2]
+               f"{f' (image {i[0]})' if i else ''}; measure it in another oriented image") for j,
+               i in images.items() if j in wanted and len(i) < 2]
     chosen = [j for j, i in images.items() if len(i) >= 2]
     flat = np.array([r for j in chosen for r in rows[j]], int)
     sigma = np.where(np.isfinite(of.sigma[flat]), of.sigma[flat], block.image_px)
@@ -158,7 +163,8 @@ def _hopeless(problem: Intersection, images: tuple[str, ...], covariances: tuple
             continue
         for r in rows:
             if problem.cameras[problem.image[r]][1].camera(x[p])[2] >= 0:
-                why[p] = (f"its rays (images {names}) meet behind image '{images[problem.image[r]]}'; check the point's measurements "
+                why[p] = (f"its rays (images {names}) meet behind image '{images[problem.image[r]]}'; check the point's "
+                          "measurements "
                           "and that image's orientation")
     return why
 
@@ -248,7 +254,8 @@ def _joint(oriented: Mapping[str, Oriented], joint: np.ndarray | None) -> np.nda
         return None
     n = 6 * len(oriented)
     if joint.shape != (n, n):
-        raise BadProject(f"the joint covariance is {joint.shape[0]} x {joint.shape[1]}, expected {n} x {n} for {len(oriented)} images")
+        raise BadProject(f"the joint covariance is {joint.shape[0]} x {joint.shape[1]}, expected {n} x {n} for {len(oriented)} "
+                         "images")
     j = np.zeros((n, n))
     for k, o in enumerate(oriented.values()):
         j[6 * k:6 * k + 6, 6 * k:6 * k + 6] = to_vector(o.exterior)
@@ -278,7 +285,8 @@ def _describe(block: Block, problem: Intersection, used: np.ndarray, trace: Trac
         point = ObjectPoint(
             name=name, role=block.points.role[k], xyz=xyz[p], covariance=cov,
             sigma0=float(np.sqrt(cost[rows[ok]].sum() / dof)) if dof > 0 else None, dof=dof, angle=angle,
-            images=tuple(images[i] for i in problem.image[rows]), residuals=v[rows], redundancy=redundancy[rows], w=w[rows], used=ok,
+            images=tuple(images[i] for i in problem.image[rows]), residuals=v[rows], redundancy=redundancy[rows], w=w[rows],
+            used=ok,
             given=block.points.xyz[k])
         out.append(replace(point, warnings=_words(point, trace, float(cost[rows[ok]].sum()))))
     return tuple(out)
@@ -308,6 +316,7 @@ def _words(point: ObjectPoint, trace: Trace, chi2: float) -> tuple[str, ...]:
         from scipy.special import gammaincc
 
         if gammaincc(point.dof / 2, chi2 / 2) < 0.001:
-            out.append(f"bad fit: sigma0 = {point.sigma0:.1f}, its rays do not meet within their given errors (chi-square test, 0.1 %); "
+            out.append(f"bad fit: sigma0 = {point.sigma0:.1f}, its rays do not meet within their given errors (chi-square test, "
+                       "0.1 %); "
                        "look for a wrong mark or a wrong orientation")
     return tuple(out)

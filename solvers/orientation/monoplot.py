@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -46,10 +47,12 @@ class Monoplotted:
     def to_json(self) -> dict[str, Any]:
         """The JSON of the command monoplot."""
         sigma = np.sqrt(np.diag(self.covariance))
-        return {"image": self.image, "col": self.pixel[0], "row": self.pixel[1], **dict(zip("XYZ", map(float, self.ground), strict=True)),
+        return {"image": self.image, "col": self.pixel[0], "row": self.pixel[1],
+                **dict(zip("XYZ", map(float, self.ground), strict=True)),
                 "sigma": dict(zip("XYZ", map(float, sigma), strict=True)), "covariance": self.covariance.tolist(),
                 "ellipse95": asdict(self.ellipse), "surface": self.surface, "distance_m": self.distance,
-                "grazing_deg": float(np.degrees(self.grazing)), "other_hits": self.others.tolist(), "warnings": list(self.warnings)}
+                "grazing_deg": float(np.degrees(self.grazing)), "other_hits": self.others.tolist(),
+                "warnings": list(self.warnings)}
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,8 @@ class Plane:
 Ground = Plane | Surface
 
 
-def monoplot(block: Block, oriented: Oriented, pixel: tuple[float, float], ground: Ground, *, sigma_px: float | None = None) -> Monoplotted:
+def monoplot(block: Block, oriented: Oriented, pixel: tuple[float, float], ground: Ground, *,
+             sigma_px: float | None = None) -> Monoplotted:
     """Ground coordinates of a pixel (col, row) of an oriented image, with their covariance.
 
     The covariance has the image noise sigma_px (None: the block's), the orientation's covariance and the ground's height
@@ -77,7 +81,8 @@ def monoplot(block: Block, oriented: Oriented, pixel: tuple[float, float], groun
     interior = block.camera_of(oriented.image)
     frame = frame_of(block, {oriented.image: oriented})
     if not interior.inside(np.array(pixel)):
-        raise BadProject(f"image '{oriented.image}': pixel col {pixel[0]:g}, row {pixel[1]:g} lies outside its {interior.width} x "
+        raise BadProject(f"image '{oriented.image}': pixel col {pixel[0]:g}, row {pixel[1]:g} lies outside its {interior.width} "
+                         "x "
                          f"{interior.height} pixels")
     if isinstance(ground, Surface) and ground.grid.crs != block.crs:
         raise BadProject(f"{ground.name}: its crs is '{ground.grid.crs}' and the project's is '{block.crs}'; "
@@ -114,7 +119,8 @@ def trace_ray(image: str, interior: Interior, exterior: Exterior, frame: LocalFr
                         f"{1 / np.sin(grazing):.0f} times")
     if covariance is None:
         warnings.append("the orientation has no covariance: its error is not in the ellipse")
-    return Monoplotted(image, (float(pixel[0]), float(pixel[1])), at, cov, float(t), grazing, ground.name, others, tuple(warnings))
+    return Monoplotted(image, (float(pixel[0]), float(pixel[1])), at, cov, float(t), grazing, ground.name, others,
+                       tuple(warnings))
 
 
 class Partials(NamedTuple):
@@ -148,7 +154,8 @@ def _normal(frame: LocalFrame, point: np.ndarray, at: np.ndarray, ground: Ground
 def _plane_hit(who: str, centre: np.ndarray, unit: np.ndarray, frame: LocalFrame, plane: Plane) -> np.ndarray:
     above = float(frame.to_map(centre)[2]) - plane.z
     if above <= 0:
-        raise DegenerateGeometry(f"{who}: the camera is {-above:.2f} m below the plane z = {plane.z:g}; check the height datum of the plane "
+        raise DegenerateGeometry(f"{who}: the camera is {-above:.2f} m below the plane z = {plane.z:g}; check the height datum "
+                                 "of the plane "
                                  "and of the camera")
     t = _reach(centre, unit, frame, plane.z)
     if t is None:
@@ -180,7 +187,8 @@ def _surface_hits(who: str, centre: np.ndarray, unit: np.ndarray, frame: LocalFr
     start = frame.to_map(centre)
     under = float(surface.sample(start[:2]))
     if np.isfinite(under) and under >= start[2]:
-        raise DegenerateGeometry(f"{who}: the camera is {under - start[2]:.2f} m below {surface.name}; its heights and the camera's have "
+        raise DegenerateGeometry(f"{who}: the camera is {under - start[2]:.2f} m below {surface.name}; its heights and the "
+                                 "camera's have "
                                  "different datums, or the height is wrong")
     corners = np.column_stack([surface.grid.corners, np.full(4, surface.range[0])])
     far = float(np.linalg.norm(frame.to_local(corners) - centre, axis=1).max())
@@ -215,7 +223,7 @@ def _polish(t: float, centre: np.ndarray, unit: np.ndarray, frame: LocalFrame, s
 
 def _miss(who: str, path: np.ndarray, surface: Surface) -> str:
     """Why a ray meets nothing, in words."""
-    dense = np.concatenate([np.linspace(a, b, 200) for a, b in zip(path[:-1], path[1:], strict=True)])
+    dense = np.concatenate([np.linspace(a, b, 200) for a, b in pairwise(path)])
     inside = np.isfinite(surface.sample(dense[:, :2]))
     rising = path[-1, 2] >= path[0, 2]
     if rising:

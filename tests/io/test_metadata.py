@@ -13,7 +13,8 @@ from solvers.io.metadata import clock
 HEAD = '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><rdf:Description '
 TAIL = "</rdf:RDF></x:xmpmeta>"
 DJI = HEAD + '''xmlns:d="http://www.dji.com/drone-dji/1.0/" d:AbsoluteAltitude="+512.31" d:RelativeAltitude="+80.00"
- d:GimbalRollDegree="+1.50" d:GimbalYawDegree="-132.00" d:GimbalPitchDegree="-89.90" d:FlightRollDegree="+0.90" d:FlightYawDegree="-129.9"
+ d:GimbalRollDegree="+1.50" d:GimbalYawDegree="-132.00"
+ d:GimbalPitchDegree="-89.90" d:FlightRollDegree="+0.90" d:FlightYawDegree="-129.9"
  d:FlightPitchDegree="-1.6" {extra}/>''' + TAIL
 RTK = ('d:RtkFlag="50" d:RtkStdLon="0.011" d:RtkStdLat="0.012" d:RtkStdHgt="0.025" d:GpsLatitude="+47.123456789" '
        'd:GpsLongtitude="+8.987654321"')
@@ -27,7 +28,11 @@ def photo(path: Path, xmp: str | bytes = "", make: str = "DJI", gps: bool = True
     exif.get_ifd(0x8769)[37521] = "25"
     if gps:
         exif.get_ifd(0x8825).update({1: "N", 2: (47.0, 7.0, 24.44), 3: "W", 4: (8.0, 59.0, 15.56), 5: b"\0", 6: 498.0})
-    Image.new("RGB", (32, 24)).save(path, exif=exif, **({"xmp": xmp.encode() if isinstance(xmp, str) else xmp} if xmp else {}))
+    packet = xmp.encode() if isinstance(xmp, str) else xmp
+    if packet:
+        Image.new("RGB", (32, 24)).save(path, exif=exif, xmp=packet)
+    else:
+        Image.new("RGB", (32, 24)).save(path, exif=exif)
     return path
 
 
@@ -81,12 +86,15 @@ def test_damage_and_absence(tmp_path: Path) -> None:
 
 
 def test_clock() -> None:
-    same = [clock(t) for t in ("2016:07:29 07:13:49.5", "2016-07-29T07:13:49.5", "2016/07/29 07:13:49.5", "2016-07-29T09:13:49.5+02:00")]
+    same = [clock(t) for t in ("2016:07:29 07:13:49.5", "2016-07-29T07:13:49.5", "2016/07/29 07:13:49.5",
+                               "2016-07-29T09:13:49.5+02:00")]
     assert same == [same[0]] * 4 and clock("123.25") == 123.25 and clock("soon") is None and clock("nan") is None
 
 
-MRK = ("1\t290321.6\t[2010]\t  -10,N\t   20,E\t  190,V\t47.10000000,Lat\t8.20000000,Lon\t512.310,Ellh\t0.011, 0.012, 0.025\t50,Q\n"
-       "2\t290324.6\t[2010]\t    0,N\t    0,E\t    0,V\t47.10010000,Lat\t8.20010000,Lon\t512.410,Ellh\t0.013, 0.014, 0.026\t50,Q\n")
+MRK = ("1\t290321.6\t[2010]\t  -10,N\t   20,E\t  190,V\t47.10000000,Lat\t8.20000000,Lon\t512.310,Ellh\t0.011, 0.012, "
+       "0.025\t50,Q\n"
+       "2\t290324.6\t[2010]\t    0,N\t    0,E\t    0,V\t47.10010000,Lat\t8.20010000,Lon\t512.410,Ellh\t0.013, 0.014, "
+       "0.026\t50,Q\n")
 
 
 def test_mrk(tmp_path: Path) -> None:
@@ -115,7 +123,8 @@ def test_tables_of_positions(tmp_path: Path) -> None:
     a, b = read_positions(file)
     assert a.lat == b.lat and a.lon == b.lon and a.lat is not None and abs(a.lat + 25.60603611) < 1e-8 and a.height is None
     for text, words in (("lat,lon\n1,2\n", "no column for image"), ("image,lat,lon\na,north,2\n", "line 2: 'north' is no number"),
-                        ("image,lat,lon\na,99,2\n", "no place on earth"), ("image,lat,lon\na,9\n", "2 cells where"), ("", "empty")):
+                        ("image,lat,lon\na,99,2\n", "no place on earth"), ("image,lat,lon\na,9\n", "2 cells where"),
+                        ("", "empty")):
         file.write_text(text)
         with pytest.raises(BadTable, match=words):
             read_positions(file)

@@ -22,7 +22,8 @@ EO_SIGMA = np.array([0.1, 0.1, 0.15, 5e-4, 5e-4, 8e-4])
 
 def cameras(n: int = 4, base: float = 40.0) -> list[Exterior]:
     """Cameras along a line at 150 m, a little tilted, kappa near 90 degrees."""
-    return [Exterior(rotation(0.03 * (-1) ** i, 0.02 * i - 0.03, 1.5 + 0.01 * i), np.array([base * (i - (n - 1) / 2), 3.0 * i, 150.0]))
+    return [Exterior(rotation(0.03 * (-1) ** i, 0.02 * i - 0.03, 1.5 + 0.01 * i),
+                     np.array([base * (i - (n - 1) / 2), 3.0 * i, 150.0]))
             for i in range(n)]
 
 
@@ -30,9 +31,10 @@ def ground(n: int = 8, seed: int = 1) -> np.ndarray:
     return np.random.default_rng(seed).uniform([-30, -25, -10], [30, 25, 10], (n, 3))
 
 
-def block_of(points: np.ndarray, exteriors: list[Exterior], pixels: np.ndarray, crs: str = "local", origin: np.ndarray | None = None,
+def block_of(points: np.ndarray, exteriors: list[Exterior], pixels: np.ndarray, crs: str = "local",
+             origin: np.ndarray | None = None,
              camera: Interior = REAL_CAMERA) -> Block:
-    """Every point in every image; the points are unknown ties but the first two, so that the frame is known."""
+    """Every point in every image."""
     n, m = len(points), len(exteriors)
     stated = points.copy() if origin is None else LocalFrame(origin, crs).to_map(points)
     return Block("site", crs, {"cam": camera}, tuple(Image(f"i{k}", "cam") for k in range(m)),
@@ -91,7 +93,7 @@ def _monte_carlo(joint: bool, runs: int = 120) -> None:
             d = EO_SIGMA * rng.standard_normal(6) + bias
             given.append(Exterior(exp(d[3:]) @ e.m, e.centre + d[:3]))
         pixels = projected(points, true, SEED_CAMERA) + SIGMA * rng.standard_normal((3, 1, 2))
-        angles = block_diag(*(block_diag(np.eye(3), angle_derivatives(e.m)) for e in given))
+        angles = np.asarray(block_diag(*(block_diag(np.eye(3), angle_derivatives(e.m)) for e in given)))
         [p] = intersect(block_of(points, true, pixels, camera=SEED_CAMERA), known(given, sigma),
                         joint=angles @ whole @ angles.T if joint else None).points
         chi.append((p.xyz - points[0]) @ np.linalg.solve(p.covariance, p.xyz - points[0]))
@@ -154,7 +156,7 @@ def test_weak_geometry_is_named() -> None:
     near = cameras(2, base=1.2)
     result = intersect(block_of(points, near, projected(points, near)), known(near))
     assert "weak geometry" in " ".join(result.points[0].warnings)
-    same = [near[0], replace(near[0], centre=near[0].centre + [1e-4, 0, 0])]
+    same = [near[0], replace(near[0], centre=near[0].centre + np.array([1e-4, 0, 0]))]
     with pytest.raises(DegenerateGeometry, match="parallel within their noise"):
         intersect(block_of(points, same, projected(points, same)), known(same))
 

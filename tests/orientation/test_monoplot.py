@@ -17,7 +17,8 @@ FRAME = LocalFrame(np.zeros(3))
 AT = Exterior(rotation(0.05, -0.08, 1.5), np.array([5.0, -8.0, 120.0]))
 
 
-def hills(crs: str = "local", origin: tuple[float, float, float] = (0.0, 0.0, 0.0), cell: float = 2.0, n: int = 121, height: float = 6.0) -> Surface:
+def hills(crs: str = "local", origin: tuple[float, float, float] = (0.0, 0.0, 0.0), cell: float = 2.0, n: int = 121,
+          height: float = 6.0) -> Surface:
     """Rough hills on a grid about an origin."""
     rng = np.random.default_rng(4)
     u, v = np.meshgrid(np.arange(n), np.arange(n))
@@ -42,7 +43,8 @@ def test_grid_and_surface() -> None:
     surface = Surface(grid, z)
     nodes = np.stack(np.meshgrid(np.arange(5), np.arange(4)), -1)
     np.testing.assert_allclose(surface.sample(grid.to_map(nodes)), z, atol=1e-9)
-    assert np.isnan(surface.sample(grid.to_map(np.array([-0.1, 2.0])))) and np.isnan(surface.sample(grid.to_map(np.array([2.0, 3.1]))))
+    assert np.isnan(surface.sample(grid.to_map(np.array([-0.1, 2.0])))) and np.isnan(surface.sample(grid.to_map(np.array([2.0,
+                                                                                                                          3.1]))))
     at = grid.to_map(np.array([1.3, 2.6]))
     numeric = [(surface.sample(at + e) - surface.sample(at - e)) / 2e-4 for e in 1e-4 * np.eye(2)]
     np.testing.assert_allclose(surface.slope(at), numeric, rtol=1e-6)
@@ -86,7 +88,8 @@ def test_first_of_many_hits() -> None:
 def test_covariance_on_a_slope() -> None:
     """Image noise, orientation, height error: the covariance predicts the scatter on sloping ground, oblique view."""
     slope = Surface(Grid((3, 3), (400.0, 0, -600.0, 0, -400.0, 600.0)), np.array([[90, 30, -30.0]] * 3) * 0.5, sigma=0.4)
-    at, rng, chi = Exterior(photo_rotation(np.radians([70.0, -50.0, 5.0]), "gimbal", ENU), np.array([0, 0, 100.0])), np.random.default_rng(6), []
+    at, rng, chi = Exterior(photo_rotation(np.radians([70.0, -50.0, 5.0]), "gimbal", ENU),
+                            np.array([0, 0, 100.0])), np.random.default_rng(6), []
     sigma = np.array([0.2, 0.2, 0.3, 1e-3, 1e-3, 2e-3])
     pixel = np.array([2000.0, 1500.0])
     for _ in range(400):
@@ -122,8 +125,10 @@ def test_misses_in_words() -> None:
     holed = Surface(void.grid, np.where(np.abs(np.arange(121) - 60)[:, None] < 8, np.nan, void.z))
     aside = Exterior(down.m, np.array([900.0, 0, 50]))
     grazing = Exterior(photo_rotation(np.radians([0.0, -15.0, 0.0]), "gimbal", ENU), np.array([0, 100.0, 50]))
-    for at, ground, words in ((level, Plane(0.0), "above the horizon"), (level, hills(), "above the horizon"), (low, Plane(0.0), "below the plane"),
-                              (low, hills(), "below DEM"), (aside, hills(), "never passes over DEM"), (grazing, hills(), "leaves DEM"),
+    for at, ground, words in ((level, Plane(0.0), "above the horizon"), (level, hills(), "above the horizon"),
+                              (low, Plane(0.0), "below the plane"),
+                              (low, hills(), "below DEM"), (aside, hills(), "never passes over DEM"),
+                              (grazing, hills(), "leaves DEM"),
                               (down, holed, "never passes over DEM")):
         with pytest.raises(DegenerateGeometry, match=words):
             trace_ray("a", SEED_CAMERA, at, FRAME, middle, ground)
