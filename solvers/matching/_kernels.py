@@ -18,7 +18,8 @@ FAST = {"contract", "reassoc", "arcp", "nsz"}  # NaN keeps its meaning: it marks
 OK, NO_TEXTURE, EDGE_ONLY, OUTSIDE, LEFT, DIVERGED, NOT_CONVERGED, LOW_SCORE, UNCERTAIN, NOT_UNIQUE, AT_BORDER = range(11)
 
 
-helper = njit(cache=True, fastmath=FAST, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+_INNER = {"cache": True, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+helper = njit(fastmath=FAST, **_INNER)
 
 
 @helper

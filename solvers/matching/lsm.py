@@ -72,11 +72,11 @@ def _from_peaks(template: Photo, target: Photo, at: np.ndarray, coarse: NccResul
     found = np.flatnonzero(coarse.ok)
     best[found] = _adjust(template, target, at[found], coarse.pixel[found], matrices[found], half, options, workers)
     which, rank = np.nonzero(np.isfinite(coarse.rival_score) & coarse.ok[:, None])
-    rivals = np.full((*coarse.rival_score.shape, 16), np.nan)
+    rivals = np.full((len(at), coarse.rival_score.shape[1], 16), np.nan)
     rivals[which, rank] = _adjust(template, target, at[which], coarse.rival[which, rank], matrices[which], half, options, workers)
-    for k in range(rivals.shape[1]):
-        best[:] = _better(best, rivals[:, k], options.min_gap)
-    crowded = (coarse.count > rivals.shape[1]) & (best[:, _STATUS] == Status.OK)
+    for rival in np.moveaxis(rivals, 1, 0):
+        best[:] = _better(best, rival, options.min_gap)
+    crowded = (coarse.count > coarse.rival_score.shape[1]) & (best[:, _STATUS] == Status.OK)
     best[crowded, _STATUS] = Status.NOT_UNIQUE
     return best
 

@@ -51,7 +51,7 @@ def gray(image: np.ndarray) -> np.ndarray:
     """
     image = np.asarray(image)
     if image.ndim == 3 and image.shape[2] in (3, 4):
-        return image[..., :3].astype(np.float32) @ np.float32([0.299, 0.587, 0.114])
+        return image[..., :3].astype(np.float32) @ np.array([0.299, 0.587, 0.114], np.float32)
     if image.ndim == 3 and image.shape[2] == 1:
         image = image[..., 0]
     if image.ndim != 2 or min(image.shape) < 2:

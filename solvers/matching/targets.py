@@ -116,16 +116,16 @@ def _blobs(grey: np.ndarray, dark: bool, options: TargetOptions, holes: bool) ->
 
 def _measure(grey: np.ndarray, centre: np.ndarray, spread: np.ndarray, options: TargetOptions, ring: bool) -> _Ellipse | None:
     """Ellipse through the sub-pixel edge, or None where the edge is not an ellipse, too weak or cut by the photo's border."""
+    edge = fit = None
     for _ in range(3):
-        root = 2 * _root(spread)  # unit circle -> ellipse
-        edge = _edge(grey, centre, root, ring)
-        if edge is None:
-            return None
-        points, inside, outside = edge
-        fit = _ellipse(points)
+        edge = _edge(grey, centre, 2 * _root(spread), ring)  # the root maps a unit circle to the ellipse
+        fit = None if edge is None else _ellipse(edge[0])
         if fit is None:
             return None
-        centre, spread, cofactor, rms = fit
+        centre, spread = fit[:2]
+    if edge is None or fit is None:
+        return None
+    (_, inside, outside), (_, _, cofactor, rms) = edge, fit
     values, axes = np.linalg.eigh(4 * spread)
     b, a = np.sqrt(values)
     contrast = float(np.median(inside - outside))
@@ -136,9 +136,9 @@ def _measure(grey: np.ndarray, centre: np.ndarray, spread: np.ndarray, options: 
     if not ring and (np.std(outside) > 0.35 * abs(contrast) or np.std(inside) > 0.25 * abs(contrast)):
         return None
     angle = float(np.arctan2(axes[1, 1], axes[0, 1]))
-    variance = max(rms, 0.02) ** 2
+    covariance = cofactor * max(rms, 0.02) ** 2
     centroid = np.full(2, np.nan) if ring else _centroid(grey, centre, 2 * _root(spread))
-    return _Ellipse(centre, variance * cofactor, (float(a), float(b)), angle, contrast, centroid)
+    return _Ellipse(centre, covariance, (float(a), float(b)), angle, contrast, centroid)
 
 
 def _edge(grey: np.ndarray, centre: np.ndarray, root: np.ndarray, ring: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
@@ -177,32 +177,46 @@ def _ellipse(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, fl
     may be an outlier."""
     middle = points.mean(0)
     size = float(np.sqrt(((points - middle) ** 2).sum(1).mean()))
-    x, y = ((points - middle) / size).T
-    design = np.stack([x * x, 2 * x * y, y * y, -2 * x, -2 * y], 1)
-    weight = np.ones(len(points))
+    xy = (points - middle) / size
+    weight, conic = np.ones(len(points)), None
     for _ in range(3):
-        sol = np.linalg.lstsq(design * weight[:, None], weight, rcond=None)[0]
-        q = np.array([[sol[0], sol[1]], [sol[1], sol[2]]])
-        if not np.linalg.det(q) > 0 or q[0, 0] <= 0:
+        conic = _conic(xy, weight)
+        if conic is None:
             return None
-        centre = np.linalg.solve(q, sol[3:])
-        level = 1 + centre @ q @ centre
-        q = q / level
-        d = np.stack([x, y], 1) - centre
-        radius = np.sqrt(np.einsum("na,ab,nb->n", d, q, d))  # 1 on the ellipse
-        slope = np.linalg.norm(d @ q, axis=1) / radius
+        radius, slope = _radius_and_slope(xy, *conic)
         distance = (radius - 1) / slope
         scatter = 1.4826 * np.median(np.abs(distance)) + 1e-9
         weight = np.where(np.abs(distance) < 4 * scatter, 1 / slope / 2, 0.0)
     used = weight > 0
-    if used.sum() < 0.85 * len(points):
+    if conic is None or used.sum() < 0.85 * len(points):
         return None
-    normal = (d @ q)[used] / radius[used, None] / slope[used, None]  # (m, 2) unit outward normals
-    arm = d[used]
+    centre, q = conic
+    arm = (xy - centre)[used]
+    radius, slope = _radius_and_slope(xy[used], centre, q)
+    normal = arm @ q / (radius * slope)[:, None]  # (m, 2) unit outward normals
     j = np.column_stack([normal, normal * arm, normal[:, 0] * arm[:, 1] + normal[:, 1] * arm[:, 0]])
     cofactor = np.linalg.inv(j.T @ j)[:2, :2]
-    rms = float(np.sqrt((distance[used] ** 2).sum() / max(used.sum() - 5, 1))) * size
+    rms = float(np.sqrt((((radius - 1) / slope) ** 2).sum() / max(used.sum() - 5, 1))) * size
     return centre * size + middle, np.linalg.inv(q) * size**2 / 4, cofactor, rms
+
+
+def _conic(xy: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Centre and matrix q of the ellipse (p - centre) q (p - centre) = 1, by weighted linear least squares; None for none."""
+    x, y = xy.T
+    design = np.stack([x * x, 2 * x * y, y * y, -2 * x, -2 * y], 1)
+    a, b, c, *linear = np.linalg.lstsq(design * weight[:, None], weight, rcond=None)[0]
+    q = np.array([[a, b], [b, c]])
+    if not np.linalg.det(q) > 0 or a <= 0:
+        return None
+    centre = np.linalg.solve(q, linear)
+    return centre, q / (1 + centre @ q @ centre)
+
+
+def _radius_and_slope(xy: np.ndarray, centre: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) radii, 1 on the ellipse, and how fast they grow outwards."""
+    d = xy - centre
+    radius = np.sqrt(np.einsum("na,ab,nb->n", d, q, d))
+    return radius, np.linalg.norm(d @ q, axis=1) / radius
 
 
 def _centroid(grey: np.ndarray, centre: np.ndarray, root: np.ndarray) -> np.ndarray:
