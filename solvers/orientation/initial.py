@@ -13,7 +13,6 @@ import numpy as np
 
 from ..geometry import Exterior, closest_rotation, skew
 
-
 _PATIENCE = 8
 """Refining steps granted to every start."""
 

@@ -152,16 +152,20 @@ def _perspective(request: Request, control: Control, found: list[Candidate], pri
             raise DegenerateGeometry(f"image '{request.image}': control points lie behind the camera of the prior; "
                                      "check its angles")
         best = min(runs, key=lambda r: r[1].last.cost)[0]
-        return problem, problem.start(best.start), [k for k in found if k is not best]
+        return problem, _first(problem, best, beginnings), [k for k in found if k is not best]
     if problem.dof < 0:
         raise DegenerateGeometry(f"image '{request.image}': {len(control)} control points cannot determine "
                                  f"{6 + len(request.free)} unknowns; measure more control or free fewer interior parameters")
-    best = found[0]
-    x0, near = problem.start(best.start), problem.start(best.exterior)
-    ends = [Exterior.from_vector(solve(problem, x).last.x) for x in (x0, near)]
-    if apart(*ends) > SAME:  # the crude start leads to another minimum
-        x0 = near
-    return problem, x0, found[1:]
+    return problem, _first(problem, found[0], found), found[1:]
+
+
+def _first(problem: Resection, chosen: Candidate, found: list[Candidate]) -> np.ndarray:
+    """The crude start of a candidate where it leads to that candidate's minimum, else the candidate itself."""
+    x0, near = problem.start(chosen.start), problem.start(chosen.exterior)
+    last = solve(problem, x0).last
+    end = Exterior.from_vector(last.x)
+    there = all(apart(end, chosen.exterior) <= apart(end, k.exterior) for k in found)
+    return x0 if there and last.cost <= problem.cost(near) + 1e-9 else near
 
 
 def _orthogonal(request: Request, control: Control, found: list[Candidate],

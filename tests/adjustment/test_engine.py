@@ -220,7 +220,7 @@ def test_check_jacobian_finds_a_wrong_sign():
 def test_covariance_and_sigma0_of_the_engine_agree_with_scatter():
     q = precision(Decay().linear(np.array([2.0, 0.7]))).covariance
     errors, sums = [], []
-    for seed in range(150):
+    for seed in range(80):
         last = solve(noisy(seed), np.array([1.5, 0.5])).last
         gap = last.x - [2.0, 0.7]
         errors.append(gap @ np.linalg.solve(q, gap))

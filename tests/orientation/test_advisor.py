@@ -71,20 +71,20 @@ def test_priors_three_times_too_confident_are_found_where_the_image_can_see_it()
     """A strong image: most such priors are distrusted, and hardly an honest one is."""
     points, caught, blamed = cluster(n=10, fov_deg=30, relief=10), 0, 0
     rng = np.random.default_rng(1)
-    for seed in range(30):
+    for seed in range(12):
         for stated in (1 / 3, 1.0):
             prior = prior_of(SEED_EXTERIOR, 0.5, 2.0, rng, stated)
             advice = advise(block_of(points, SEED_EXTERIOR, noise_px=0.3, noise_m=0.002, seed=seed, prior=prior), "a")
             distrusted = any("contradicts" in r for r in advice.reasons)
             caught += distrusted and stated < 1
             blamed += distrusted and stated == 1
-    assert caught >= 22 and blamed <= 1
+    assert caught >= 8 and blamed <= 1
 
 
 def test_the_choice_is_best_or_nearly_best_on_random_geometries():
     """Tilt error of the advised solution against that of every candidate, predicted at the truth: within 10 %."""
     rng, good, total = np.random.default_rng(2), 0, 0
-    for seed in range(24):
+    for seed in range(20):
         n, fov = int(rng.integers(4, 16)), float(np.exp(rng.uniform(np.log(3), np.log(40))))
         points, at = scene(rng, n, fov, depth=float(rng.choice([0.01, 0.1])))
         prior = prior_of(at, 0.3, 1.5, rng) if seed % 2 else None

@@ -59,13 +59,13 @@ def test_the_second_solution_mirrors_the_plane_about_the_viewing_ray():
 
 
 def test_the_choice_is_right_as_often_as_stated():
-    """P(correct) = Phi(D / 2) = 0.737 at the corner, 1 degree, 0.3 px; 120 runs: +-3.5 sd."""
+    """P(correct) = Phi(D / 2) = 0.737 at the corner, 1 degree, 0.3 px; 60 runs: +-3.5 sd."""
     points = cluster((8.0, 5.0), 4, 1.0, 0.0)
     right = 0
-    for seed in range(120):
+    for seed in range(60):
         got = resect(block_of(points, SEED_EXTERIOR, noise_px=0.3, sigma_m=0.0, seed=seed), "a")
         right += angle_between(got.exterior, SEED_EXTERIOR) < np.radians(15.5)
-    assert 0.60 < right / 120 < 0.87
+    assert 0.54 < right / 60 < 0.93
 
 
 @pytest.mark.parametrize("tilt_deg", [0, 30, 70, 90])

@@ -9,7 +9,7 @@ from solvers import BadProject, Exterior, Interior, Prior
 from solvers.adjustment import Trace, precision
 from solvers.geometry import rotation
 from solvers.orientation import PriorOrientation, Request, Resection, conclude, orient, prepare, resect
-from tests.checks import assert_same, check_jacobian, chi_square_band, normalised_error
+from tests.checks import angle_between, assert_same, check_jacobian, chi_square_band, normalised_error
 from tests.synthetic import REAL_CAMERA, SEED_CAMERA, SEED_EXTERIOR, block_of, cluster, moved, prior_of, random_rotation, scene
 
 ALL_TEN = ("c", "xp", "yp", "k1", "k2", "k3", "p1", "p2", "b1", "b2")
@@ -110,7 +110,7 @@ def test_freed_interior_parameters_are_found():
 def test_freed_principal_distance_scatters_as_predicted():
     points = cluster(n=12, fov_deg=20, relief=30)
     z = []
-    for seed in range(60):
+    for seed in range(40):
         got = resect(block_of(points, SEED_EXTERIOR, noise_px=0.3, noise_m=0.002, seed=seed), "a", free=("c",))
         assert got.interior is not None
         z.append((got.interior.c - 35.0) / dict(got.interior_sigma)["c"])
@@ -121,10 +121,10 @@ def test_freed_principal_distance_scatters_as_predicted():
 
 
 def test_covariance_sigma0_and_standardized_residuals_against_scatter():
-    """250 seeded runs of a cluster of ten: chi-square of the error, of the residuals, and w as a standard normal."""
+    """100 seeded runs of a cluster of ten: chi-square of the error, of the residuals, and w as a standard normal."""
     points = cluster((8.0, 5.0), n=10, fov_deg=20, relief=5)
     errors, sums, w = [], [], []
-    for seed in range(250):
+    for seed in range(100):
         got = resect(block_of(points, SEED_EXTERIOR, noise_px=0.3, noise_m=0.002, seed=seed), "a")
         gap = normalised_error(got, SEED_EXTERIOR)
         errors.append(gap @ np.linalg.solve(got.covariance, gap))
@@ -135,14 +135,14 @@ def test_covariance_sigma0_and_standardized_residuals_against_scatter():
     chi_square_band(np.array(errors), 6)
     chi_square_band(np.array(sums), 14)
     w = np.array(w)
-    assert abs(w.mean()) < 0.05 and abs(w.std() - 1) < 0.04 and np.mean(np.abs(w) > 1.96) == pytest.approx(0.05, abs=0.015)
+    assert abs(w.mean()) < 0.08 and abs(w.std() - 1) < 0.06 and np.mean(np.abs(w) > 1.96) == pytest.approx(0.05, abs=0.02)
 
 
 def test_weighted_prior_joins_as_c_b_and_scatters_as_it_says():
     points = cluster(n=4, fov_deg=6, relief=1)
     errors = []
     rng = np.random.default_rng(8)
-    for seed in range(120):
+    for seed in range(50):
         block = block_of(points, SEED_EXTERIOR, noise_px=0.3, noise_m=0.002, seed=seed,
                          prior=prior_of(SEED_EXTERIOR, 0.1, 1.0, rng))
         got = resect(block, "a", prior="weighted")
@@ -210,3 +210,14 @@ def test_three_points_return_all_roots_and_no_sigma0():
     assert got.dof == 0 and got.sigma0 is None and all(o.rms_px < 1e-6 for o in every)
     assert min(np.abs(o.exterior.centre - at.centre).max() for o in every) < 1e-6
     assert len(every) == 1 or any("ambiguous" in w for w in got.warnings)
+
+
+def test_a_prior_decides_between_reversal_solutions_and_the_run_ends_where_it_says():
+    """Flat, narrow, off-centre: with a weighted prior the run ends in the minimum of least cost, whatever its crude start."""
+    points, rng = cluster((8.0, 5.0), 4, 1.0, 0.0), np.random.default_rng(10)
+    for seed in range(12):
+        prior = prior_of(SEED_EXTERIOR, 2.0, 5.0, rng)
+        block = block_of(points, SEED_EXTERIOR, noise_px=0.3, sigma_m=0.0, seed=seed, prior=prior)
+        got = resect(block, "a", prior="weighted")
+        assert angle_between(got.exterior, SEED_EXTERIOR) < np.radians(8)  # the mirrored one is 31 degrees away
+        assert all(got.trace.last.cost <= o.trace.last.cost + 1e-6 for o in got.alternatives)
