@@ -13,11 +13,11 @@ from .oriented import Known, Oriented
 from .orthogonal import Leak, Orthogonal
 from .resection import PriorOrientation, Resection
 from .result import Orientation
-from .single import Request, Start, conclude, orient, prepare, resect, resect_orthogonal
+from .single import Request, Start, conclude, orient, prepare, resect, resect_orthogonal, rows
 
 __all__ = ["CORNERS", "Advice", "Candidate", "CornerControl", "Flight", "Footprint", "Georeferenced", "Grade", "Heading",
            "Intersected", "Known", "Leak", "Monoplotted", "ObjectPoint", "Offset", "Orientation", "Oriented", "Orthogonal",
            "Plane", "Prediction", "PriorOrientation", "Request", "Resection", "Rig", "Start", "Vertical", "advise",
            "candidates", "check_headings", "compare_control", "conclude", "corner_control", "footprint",
            "footprints_geojson", "georeference", "height_bias", "intersect", "match_log", "monoplot", "orient", "prepare",
-           "resect", "resect_orthogonal", "three_points"]
+           "resect", "resect_orthogonal", "rows", "three_points"]

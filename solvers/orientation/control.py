@@ -38,6 +38,11 @@ class Control:
         return replace(self, names=tuple(self.names[i] for i in rows), points=self.points[rows], pixels=self.pixels[rows],
                        sigma_px=self.sigma_px[rows], sigma_m=self.sigma_m[rows])
 
+    def same(self, other: Control) -> bool:
+        """Whether two controls hold the same measurements of the same points through the same camera."""
+        return self.names == other.names and self.interior == other.interior and all(
+            np.array_equal(getattr(self, name), getattr(other, name)) for name in ("points", "pixels", "sigma_px", "sigma_m"))
+
     def weights(self, exterior: Exterior | None = None) -> np.ndarray:
         """(n, 2, 2) px^-2: inverse of sigma^2 I + J_X Sigma_X J_X^T; of sigma^2 I alone without an orientation."""
         cov = self.sigma_px[:, None, None] ** 2 * np.eye(2)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
-from ..adjustment import Options, Trace, iterate, precision, solve
+from ..adjustment import Iteration, Options, Trace, precision, solve
 from ..adjustment.reliability import chi_square, external
 from ..block import Block, Prior
 from ..cameras import Interior, project
@@ -64,12 +65,19 @@ class Start:
     used: np.ndarray
     others: tuple[Candidate, ...]
     approximate: PriorOrientation | None
+    trace: Trace  # finding the start has run the adjustment to its end already
+    found: tuple[Candidate, ...] = ()
 
 
 def orient(block: Block, request: Request) -> Orientation:
     """Orientation of one image. Raises BadProject, DegenerateGeometry."""
     start = prepare(block, request)
-    return conclude(start, Trace(tuple(iterate(start.problem, start.x0, start.options)), start.manifest))
+    return conclude(start, Trace(tuple(rows(start)), start.manifest))
+
+
+def rows(start: Start) -> Iterator[Iteration]:
+    """The rows of a prepared orientation, one by one; the same as `iterate(start.problem, start.x0, start.options)`."""
+    yield from start.trace.rows
 
 
 def resect(block: Block, image: str, **options: Any) -> Orientation:
@@ -82,9 +90,10 @@ def resect_orthogonal(block: Block, image: str, **options: Any) -> Orientation:
     return orient(block, Request(image, "orthogonal", **options))
 
 
-def prepare(block: Block, request: Request) -> Start:
+def prepare(block: Block, request: Request, like: Start | None = None) -> Start:
     """The problem of a request with its start, found without approximate values unless the request names a prior.
 
+    like: a start of the same image and control (of the other model, say), whose candidates serve again.
     Raises BadProject (unknown names, missing prior) and DegenerateGeometry (too few, collinear, behind the camera).
     """
     frame = LocalFrame.around(block.points.xyz, block.crs, block.frame)
@@ -96,8 +105,8 @@ def prepare(block: Block, request: Request) -> Start:
     used = inliers(everything, request.loss) if request.robust else np.ones(len(everything), bool)
     control = everything.take(used)
     mean = control.points.mean(axis=0) if len(control) else np.zeros(3)
-    found: list[Candidate] = []
-    if len(control) >= 3:
+    found = list(like.found) if like is not None and like.control.same(everything) and (like.used == used).all() else []
+    if len(control) >= 3 and not found:
         ideal = control.interior.ideal(control.pixels)
         found = [_moved(k, mean) for k in candidates(control.points - mean, ideal, control.interior.c)]
     if not found and prior is None:
@@ -105,13 +114,15 @@ def prepare(block: Block, request: Request) -> Start:
                                  "of it; look for swapped axes, a wrong principal distance or mixed-up point names")
     manifest = _manifest(block, request, frame, control)
     if request.model == "perspective":
-        problem, x0, others = _perspective(request, control, found, prior, weighted)
-        options = Options()
+        problem, options = _perspective(request, control, found, prior, weighted), Options()
+        trace, others = _first_run(problem, request, found, prior)
     else:
-        problem, x0, others = _orthogonal(request, control, found, prior)
-        options = ORTHOGONAL
+        problem, trace, options = _orthogonal(request, control, found, prior)
+        others = found
+    x0 = trace.rows[0].x
     manifest["initial"] = [float(v) for v in x0[:12]]
-    return Start(problem, x0, options, manifest, request, frame, everything, used, tuple(others), prior)
+    trace = replace(trace, manifest=manifest)
+    return Start(problem, x0, options, manifest, request, frame, everything, used, tuple(others), prior, trace, tuple(found))
 
 
 def conclude(start: Start, trace: Trace) -> Orientation:
@@ -136,40 +147,39 @@ def conclude(start: Start, trace: Trace) -> Orientation:
 
 
 def _perspective(request: Request, control: Control, found: list[Candidate], prior: PriorOrientation | None,
-                 weighted: PriorOrientation | None) -> tuple[Resection, np.ndarray, list[Candidate]]:
+                 weighted: PriorOrientation | None) -> Resection:
     at = found[0].exterior if found else prior.exterior if prior else None
     problem = Resection(control.interior, control.points, control.pixels, control.weights(at), request.free, weighted)
-    if request.prior == "initial" and prior is not None:
-        if not np.isfinite(problem.cost(problem.start(prior.exterior))):
-            raise DegenerateGeometry(f"image '{request.image}': control points lie behind the camera of the prior; "
-                                     "check its angles")
-        return problem, problem.start(prior.exterior), found
-    if weighted is not None and prior is not None:
-        beginnings = [*found, Candidate(prior.exterior, prior.exterior, "prior", 0.0)]
-        runs = [(k, solve(problem, problem.start(k.exterior))) for k in beginnings]
-        runs = [(k, t) for k, t in runs if np.isfinite(t.last.cost)]
-        if not runs:
-            raise DegenerateGeometry(f"image '{request.image}': control points lie behind the camera of the prior; "
-                                     "check its angles")
-        best = min(runs, key=lambda r: r[1].last.cost)[0]
-        return problem, _first(problem, best, beginnings), [k for k in found if k is not best]
     if problem.dof < 0:
         raise DegenerateGeometry(f"image '{request.image}': {len(control)} control points cannot determine "
                                  f"{6 + len(request.free)} unknowns; measure more control or free fewer interior parameters")
-    return problem, _first(problem, found[0], found), found[1:]
+    return problem
 
 
-def _first(problem: Resection, chosen: Candidate, found: list[Candidate]) -> np.ndarray:
-    """The crude start of a candidate where it leads to that candidate's minimum, else the candidate itself."""
-    x0, near = problem.start(chosen.start), problem.start(chosen.exterior)
-    last = solve(problem, x0).last
-    end = Exterior.from_vector(last.x)
+def _first_run(problem: Resection, request: Request, found: list[Candidate],
+               prior: PriorOrientation | None) -> tuple[Trace, list[Candidate]]:
+    """The adjustment from the crudest start that leads to the best minimum, and the candidates left over."""
+    given = [] if prior is None else [Candidate(prior.exterior, prior.exterior, "prior", 0.0)]
+    if request.prior != "none" and given and not np.isfinite(problem.cost(problem.start(given[0].exterior))):
+        raise DegenerateGeometry(f"image '{request.image}': control points lie behind the camera of the prior; check its angles")
+    if request.prior == "initial" and given:
+        return solve(problem, problem.start(given[0].exterior)), found
+    chosen, near = found[0] if found else given[0], None
+    if request.prior == "weighted" and given:
+        ends = [(k, solve(problem, problem.start(k.exterior))) for k in [*found, *given]]
+        ends = [(k, t) for k, t in ends if np.isfinite(t.last.cost)]
+        chosen, near = min(ends, key=lambda end: end[1].last.cost)
+    crude = solve(problem, problem.start(chosen.start))
+    end = Exterior.from_vector(crude.last.x)
     there = all(apart(end, chosen.exterior) <= apart(end, k.exterior) for k in found)
-    return x0 if there and last.cost <= problem.cost(near) + 1e-9 else near
+    others = [k for k in found if k is not chosen]
+    if there and crude.last.cost <= problem.cost(problem.start(chosen.exterior)) + 1e-9:
+        return crude, others
+    return near or solve(problem, problem.start(chosen.exterior)), others
 
 
 def _orthogonal(request: Request, control: Control, found: list[Candidate],
-                prior: PriorOrientation | None) -> tuple[Orthogonal | OrthogonalFreeC, np.ndarray, list[Candidate]]:
+                prior: PriorOrientation | None) -> tuple[Orthogonal | OrthogonalFreeC, Trace, Options]:
     if request.one_pass and prior is None:
         raise BadProject(f"image '{request.image}': one pass needs an approximate orientation; give "
                          f"[images.{request.image}.prior] with X, Y, Z, omega_deg, phi_deg, kappa_deg "
@@ -187,9 +197,9 @@ def _orthogonal(request: Request, control: Control, found: list[Candidate],
             raise DegenerateGeometry(f"image '{request.image}': {len(control)} control points cannot determine 7 unknowns; "
                                      "measure more control or keep the principal distance fixed")
         beginnings = [np.append(unknown.model.start(unknown.model.affine_of(k.exterior)), control.interior.c) for k in found]
-        return unknown, _best_run(unknown, beginnings, control)[0], found
+        return unknown, _best_run(unknown, beginnings, control), ORTHOGONAL
     if request.one_pass or not found:
-        return problem, _best_run(problem, problem.starts(), control)[0], found
+        return problem, _best_run(problem, problem.starts(), control), ORTHOGONAL
     best = found[0].exterior
     near_best = [problem.start(problem.affine_of(e)) for k in found for e in (k.start, k.exterior)]
     given = [problem.start(problem.affine_of(prior.exterior))] if request.prior == "initial" and prior else None
@@ -202,15 +212,15 @@ def _orthogonal(request: Request, control: Control, found: list[Candidate],
             trace = solve(attempt, x0, options)
             end = Exterior.from_vector(trace.last.x)
             if _sound(control, trace, best) and all(apart(end, best) < apart(end, k.exterior) for k in found[1:]):
-                return attempt, x0, found
-            runs.append((*_rank(control, trace), len(runs), attempt, x0))
-    *_, attempt, x0 = min(runs)  # none that the perspective residual confirms: the least bad, and it will be said
-    return attempt, x0, found
+                return attempt, trace, options
+            runs.append((*_rank(control, trace), len(runs), attempt, trace, options))
+    *_, attempt, trace, options = min(runs)  # none that the perspective residual confirms: the least bad, and it will be said
+    return attempt, trace, options
 
 
-def _best_run(problem: Orthogonal | OrthogonalFreeC, beginnings: list[np.ndarray], control: Control) -> tuple[np.ndarray, Trace]:
+def _best_run(problem: Orthogonal | OrthogonalFreeC, beginnings: list[np.ndarray], control: Control) -> Trace:
     """Of all runs the converged one with the smallest perspective residual."""
-    return min(((x0, solve(problem, x0, ORTHOGONAL)) for x0 in beginnings), key=lambda run: _rank(control, run[1]))
+    return min((solve(problem, x0, ORTHOGONAL) for x0 in beginnings), key=lambda run: _rank(control, run))
 
 
 def _rank(control: Control, trace: Trace) -> tuple[bool, float]:
