@@ -20,8 +20,10 @@ from .single import AMBIGUOUS, Request, discrimination, given_prior, prepare
 
 UNDETERMINED_DEG = 2.0
 """Tilt standard error beyond which an image does not determine its exterior orientation."""
-DISTRUST = 0.001
-"""Probability below which a prior contradicts the image."""
+FACTORS = np.array([1.0, 2.0, 3.0, 5.0])
+"""By how much a prior's sigmas may be too small ..."""
+BELIEF = np.array([0.5, 0.2, 0.15, 0.15])
+"""... and how probable each of these is held to be before the image is asked."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +82,8 @@ def advise(block: Block, image: str, points: tuple[str, ...] | None = None) -> A
         prior = None
     found = _predict(start.control.take(start.used), at, cp, prior)
     d = discrimination(start, at, start.control.take(start.used))
-    misfit = None if prior is None else _disagreement(prior, at, cp)
-    model, reasons = _choose(found, d, misfit)
+    trust = None if prior is None else _trust(prior, at, cp)
+    model, reasons = _choose(found, d, trust)
     return Advice(model, tuple(reasons), found, d)
 
 
@@ -102,36 +104,57 @@ def _predict(control: Any, at: Exterior, cp: np.ndarray, prior: PriorOrientation
     return out
 
 
-def _disagreement(prior: PriorOrientation, at: Exterior, cp: np.ndarray) -> float:
-    """Probability that an honest prior differs from the image's own solution as much as this one does (chi-square, 6)."""
+@dataclass(frozen=True)
+class Trust:
+    """What the image says of its prior. factor: most probable factor of its sigmas; rarity: chance that an honest prior
+    disagrees as much (chi-square, 6); tilt: expected error [rad] of the perspective adjustment weighted with it."""
+
+    factor: float
+    rarity: float
+    tilt: float
+
+
+def _trust(prior: PriorOrientation, at: Exterior, cp: np.ndarray) -> Trust:
+    """The gap between prior and image is normal with C_P + k^2 Sigma_0: how probable is each factor k, and what would the
+    weighted adjustment, which believes k = 1, then be worth?"""
     from scipy.special import gammaincc
 
     inverse = np.linalg.inv(prior.root)
-    gap = prior.misclosure(at)
-    chi2 = float(gap @ np.linalg.solve(cp + inverse @ inverse.T, gap))
-    return float(gammaincc(3.0, chi2 / 2))
+    c0, gap = inverse @ inverse.T, prior.misclosure(at)
+    spread = [cp + k**2 * c0 for k in FACTORS]
+    chi2 = np.array([gap @ np.linalg.solve(c, gap) for c in spread])
+    log_likelihood = -(chi2 + [np.linalg.slogdet(c)[1] for c in spread]) / 2
+    weight = BELIEF * np.exp(log_likelihood - log_likelihood.max())
+    weight /= weight.sum()
+    np_, n0 = np.linalg.inv(cp), prior.root.T @ prior.root
+    cb = np.linalg.inv(np_ + n0)
+    tilts = [Prediction(at.angle_covariance(cb @ (np_ + k**2 * n0) @ cb)).tilt for k in FACTORS]
+    return Trust(float(FACTORS[np.argmax(weight)]), float(gammaincc(3.0, chi2[0] / 2)), float(np.sqrt(weight @ np.square(tilts))))
 
 
-def _choose(found: dict[str, Prediction], d: float | None, agreement: float | None) -> tuple[str, list[str]]:
+def _choose(found: dict[str, Prediction], d: float | None, trust: Trust | None) -> tuple[str, list[str]]:
     def deg(name: str) -> float:
         return float(np.degrees(found[name].tilt))
 
     reasons = []
     free = deg("perspective")
-    if agreement is not None and agreement >= DISTRUST:
+    if trust is not None and trust.tilt <= found["perspective"].tilt:
         share = found["perspective with prior"].remarks["prior_share"]
         reasons.append("the prior joins as a weighted observation: predicted tilt error "
                        f"{deg('perspective with prior'):.3f} degrees, {free:.3f} without it, "
                        f"{deg('orthogonal one pass'):.3f} for one orthogonal pass through the prior")
+        if trust.factor > 1:
+            reasons.append(f"the prior seems {trust.factor:.0f} times less accurate than it says; it still helps, "
+                           f"with an expected tilt error of {np.degrees(trust.tilt):.3f} degrees")
         if share > 0.5:
             reasons.append(f"the tilt comes from the prior, not from this image ({share:.0%} of it)")
         if deg("orthogonal one pass") < free:
             reasons.append("one orthogonal pass would beat the perspective model without the prior, "
                            "but not the perspective model with it")
         return "perspective with prior", reasons
-    if agreement is not None:
-        rarity = f"{1 / max(agreement, 1e-9):.0f}" if agreement > 1e-9 else "a billion or more"
-        reasons.append(f"the prior contradicts the image (an honest one would do so once in {rarity} times): "
+    if trust is not None:
+        rarity = f"once in {1 / trust.rarity:.0f} times" if trust.rarity > 1e-9 else "less than once in a billion times"
+        reasons.append(f"the prior contradicts the image (an honest one would do so {rarity}): "
                        "its sigmas are too small or it belongs to another image; it is not used")
     if not free <= UNDETERMINED_DEG:
         reasons.append(f"this control does not determine the tilt ({free:.1f} degrees): register locally (similarity, affine, "
