@@ -31,7 +31,8 @@ def main(command: str) -> int:
     with tempfile.TemporaryDirectory() as home:
         environment = {**os.environ, "BROWSER": "echo %s", "XDG_DATA_HOME": home, "XDG_CACHE_HOME": home}
         began = time.monotonic()
-        process = subprocess.Popen(shlex.split(start), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
+        process = subprocess.Popen(shlex.split(start), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+                                   env=environment)
         assert process.stdout is not None
         try:
             port = _port(process.stdout)
@@ -59,7 +60,7 @@ async def _missing(port: int, deadline: float) -> list[bytes]:
     import viser
     from websockets.asyncio.client import connect
 
-    missing = list(NEEDED)
+    missing: list[bytes] = list(NEEDED)
     async with connect(f"ws://127.0.0.1:{port}", origin=f"http://127.0.0.1:{port}", max_size=None,  # type: ignore[arg-type]
                        subprotocols=[f"viser-v{viser.__version__}"]) as socket:  # type: ignore[list-item]
         while missing and (left := deadline - time.monotonic()) > 0:

@@ -13,6 +13,7 @@ from enum import IntEnum
 import numpy as np
 
 from ..cameras import Interior
+from ..compiled import kernels as load
 from ..errors import DegenerateGeometry
 
 
@@ -118,7 +119,7 @@ def resect_many(
 
     Raises ValueError on shapes that do not fit together. Reference: Grunert 1841; DeMenthon & Davis 1995; Oberkampf et al. 1996.
     """
-    from . import _kernels as kernels
+    kernels = load("solvers.orientation._kernels", "the batch resection")
 
     X, uv = np.ascontiguousarray(points, float), np.ascontiguousarray(pixels, float)
     if X.ndim != 3 or X.shape[2] != 3 or uv.shape != (*X.shape[:2], 2):
@@ -167,7 +168,7 @@ def solve_candidates(points: np.ndarray, xy: np.ndarray, c: float, weights: np.n
     points: (n, 3) m. xy: (n, 2) mm, ideal photo coordinates. c: mm. weights: (n,) 1 / mm^2, None = 1.
     With three points: all real roots. Raises DegenerateGeometry naming the cause when there is none.
     """
-    from . import _kernels as kernels
+    kernels = load("solvers.orientation._kernels", "the batch resection")
 
     Y, mean = _reduced(points, xy, c, weights)
     workspace = kernels.workspace()
@@ -180,7 +181,7 @@ def solve_candidates(points: np.ndarray, xy: np.ndarray, c: float, weights: np.n
 
 def three_point(points: np.ndarray, xy: np.ndarray, c: float) -> Candidates:
     """All three-point poses (P3P), unrefined, in order of their residuals; points (3, 3) m, xy (3, 2) mm ideal, c mm."""
-    from . import _kernels as kernels
+    kernels = load("solvers.orientation._kernels", "the batch resection")
 
     Y, mean = _reduced(points, xy, c, None)
     if Y.shape[1] != 3:

@@ -1,0 +1,20 @@
+"""Compiled kernels are loaded at first use; the first time ever they are compiled, and a person is told why it takes a while."""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from types import ModuleType
+
+
+def kernels(module: str, what: str) -> ModuleType:
+    """A module of numba kernels, by its absolute name; says a word on standard error when it was never compiled here."""
+    if module not in sys.modules:
+        spec = find_spec(module)
+        assert spec is not None and spec.origin is not None, module
+        source = Path(spec.origin)
+        if not any((source.parent / "__pycache__").glob(f"{source.stem}.*.nbi")):
+            print(f"collinea: compiling {what} for this machine; once, it takes some seconds", file=sys.stderr)
+    return import_module(module)
