@@ -37,7 +37,8 @@ HEAVY = ("numba", "viser", "rerun", "rasterio", "trimesh", "cv2", "scipy", "matp
 
 def room(path: Path) -> str:
     """The room of a file of `solvers`: its folder, or its own name at the top; workflows_x.py belongs to workflows."""
-    return path.relative_to(ROOT / "solvers").with_suffix("").parts[0].partition("_")[0]
+    name = path.relative_to(ROOT / "solvers").with_suffix("").parts[0]
+    return "workflows" if name.startswith("workflows_") else name
 
 
 def imported(path: Path, top_level_only: bool = False) -> Iterator[tuple[str, int]]:
