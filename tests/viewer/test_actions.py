@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import make_state  # type: ignore[import-not-found]
 
 from solvers.adjustment import Trace, iterate
 from solvers.orientation import Request, conclude, prepare
+from tests.viewer.conftest import make_state
 from viewer_app.actions import (
     Aim,
     Cancel,

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 import viser
 import websockets
-from conftest import make_state  # type: ignore[import-not-found]
 from websockets.asyncio.client import connect
 
 from solvers import Unsupported
+from tests.viewer.conftest import make_state
 from viewer_app.app import App
 from viewer_app.bridge import LOCAL_HOSTS, Server, known_version, open_server, parse, refuse
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import make_block, make_state  # type: ignore[import-not-found]
 
 from solvers import BadProject
 from solvers.io import write_project
+from tests.viewer.conftest import make_block, make_state
 from viewer_app.actions import Brought, Say, update
 from viewer_app.loading import bring, crop, open_project, photo
 from viewer_app.panels.photo import HALF, magnified
