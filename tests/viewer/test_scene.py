@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_actions import solve_all  # type: ignore[import-not-found]
 
 from solvers.cameras import project
 from tests.viewer.conftest import CAMERA, flat, make_state
+from tests.viewer.test_actions import solve_all  # type: ignore[import-not-found]
 from viewer_app import theme
 from viewer_app.actions import ChoosePoint, Show, Step, SwitchPoint, update
 from viewer_app.export import frustum_corners, glb, ply
