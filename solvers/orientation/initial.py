@@ -63,7 +63,7 @@ def starts(points: np.ndarray, xy: np.ndarray, c: float) -> list[tuple[str, Exte
     """Every start, the crudest first, with its name: parallel projection, three points, DLT, homography."""
     r_v = recentring(xy, c)
     out = [("parallel projection", Exterior(r_v.T @ e.m, e.centre)) for e in scaled_orthography(points, turned(xy, c, r_v), c)]
-    out += [("three points", e) for rows in _wide_triples(points) for e in three_points(points[rows], xy[rows], c)]
+    out += [("three points", e) for rows in wide_triples(points) for e in three_points(points[rows], xy[rows], c)]
     s = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if len(points) >= 6 and s[2] > 1e-3 * s[0]:
         out += [("direct linear transformation", e) for e in direct_linear(points, xy, c)]
@@ -87,16 +87,18 @@ def _different(found: list[tuple[str, Exterior]], points: np.ndarray, xy: np.nda
     return [found[i] for i in keep]
 
 
-def scaled_orthography(points: np.ndarray, xy: np.ndarray, c: float, updates: int = 2) -> list[Exterior]:
+def scaled_orthography(points: np.ndarray, xy: np.ndarray, c: float, updates: int = 2,
+                       kinds: tuple[str | float, ...] = ("affine", 1.0, -1.0)) -> list[Exterior]:
     """Orientations by parallel projection: the affine one (non-planar points) and both reversal solutions of the plane.
 
-    xy must be near the optical axis (re-centred). Each is improved by `updates` POSIT steps.
+    xy must be near the optical axis (re-centred). Each is improved by `updates` POSIT steps. kinds: "affine", and the signs
+    of the reversal solutions.
     """
     mean = points.mean(axis=0)
     reduced = points - mean
     u, s, vt = np.linalg.svd(reduced, full_matrices=False)
     out = []
-    for kind in ("affine", 1.0, -1.0):
+    for kind in kinds:
         if kind == "affine" and s[2] < 1e-4 * s[0]:
             continue
         target = xy
@@ -294,7 +296,7 @@ def _exp_batch(d: np.ndarray) -> np.ndarray:
     return np.eye(3) + a * k + b * (k @ k)
 
 
-def _wide_triples(points: np.ndarray, count: int = 4) -> list[list[int]]:
+def wide_triples(points: np.ndarray, count: int = 4) -> list[list[int]]:
     """Index triples of large area among the points furthest from the centroid and from each other."""
     n = len(points)
     if n <= 6:

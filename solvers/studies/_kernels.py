@@ -6,8 +6,9 @@ m (3, 3) turns object axes into photo axes, x (3,) is the perspective centre; ta
 import numpy as np
 from numba import njit
 
-compiled = njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-entry = njit(cache=True, error_model="numpy", nogil=True, no_cfunc_wrapper=True)
+_OPTIONS = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+compiled = njit(no_cpython_wrapper=True, **_OPTIONS)
+entry = njit(nogil=True, **_OPTIONS)
 
 
 @compiled

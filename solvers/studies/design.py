@@ -10,8 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..cameras import Interior, ideal_photo, project, project_derivatives
-from ..geometry import Exterior, angle_derivatives
+from ..geometry import Exterior
 from ..orientation import Orthogonal
+from ..orientation.orthogonal import Form
 from .estimators import Poses, best_of, exponential, orthogonal_iterated, orthogonal_pass, perspective
 
 CAMERA = Interior(35.0, pixel_mm=23.5 / 6000, width=6000, height=4000)
@@ -20,6 +21,8 @@ TABLE_I = Exterior.from_angles(*np.radians([-2.6368, 3.9069, 88.933]), centre=np
 CONTROL_M = 0.002
 ELEMENTS = ("omega_deg", "phi_deg", "kappa_deg", "X_m", "Y_m", "Z_m")
 PITCH = float(CAMERA.pitch[0])
+FORMS: dict[str, tuple[Form, bool]] = {"O1": ("printed", False), "O1rc": ("printed", True), "O1d": ("depth", True)}
+"""Form and re-centring of the orthogonal methods."""
 
 
 def ground(photo_mm: np.ndarray, level: float = 0.0) -> np.ndarray:
@@ -89,24 +92,22 @@ def estimate(sample: Sample, rng: np.random.Generator, priors: tuple[tuple[float
 
     Names: P perspective started at the truth, as an adjustment with a good approximation is; Pbest the better of both
     reversal solutions, as an adjustment without any approximation must choose; O1 one orthogonal pass as printed, O1rc
-    re-centred; Oit, Oitrc iterated to rest; B perspective with the weighted prior, the best of both starts. Behind O1, O1rc and B the sigmas of the
-    prior, or the name of the reference orientation that the transformation uses (default: truth).
+    the same re-centred, O1d re-centred with the depth form; Oit, Oitrc as printed and re-centred, iterated to rest; B
+    perspective with the weighted prior, the best of its starts. Behind O1, O1rc, O1d and B the sigmas of the prior, or the
+    name of the reference orientation that the transformation uses (default: truth).
     """
     tag, given = reference or ("truth", sample.truth)
     near, reversed_ = sample.both_minima()
     out = {"P": near[0], "Pbest": best_of(near, reversed_)}
     data = sample.seen, sample.xy, CAMERA.c
-    out[f"O1_{tag}"] = orthogonal_pass(*data, given, "printed", False)
-    out[f"O1rc_{tag}"] = orthogonal_pass(*data, given)
-    out["Oit"] = orthogonal_iterated(*data, given, "printed", False)
-    out["Oitrc"] = orthogonal_iterated(*data, given)
+    out |= {f"{k}_{tag}": orthogonal_pass(*data, given, *form) for k, form in FORMS.items()}
+    out |= {k.replace("O1", "Oit"): orthogonal_iterated(*data, given, *FORMS[k]) for k in ("O1", "O1rc")}
     for degrees, metres in priors:
         sd = np.array([metres] * 3 + [np.radians(degrees)] * 3)
         gap = rng.normal(0, 1, (sample.runs, 6)) * sd
         prior = Poses(exponential(gap[:, 3:]) @ TABLE_I.m, TABLE_I.centre + gap[:, :3], np.ones(sample.runs, bool))
         tag = f"{degrees:g}_{metres:g}"
-        out[f"O1_{tag}"] = orthogonal_pass(*data, prior, "printed", False)
-        out[f"O1rc_{tag}"] = orthogonal_pass(*data, prior)
+        out |= {f"{k}_{tag}": orthogonal_pass(*data, prior, *form) for k, form in FORMS.items()}
         out[f"B_{tag}"] = best_of(*(sample.perspective(s, (prior, 1 / sd**2)) for s in (prior, near[0], reversed_[0])))
     return out
 
@@ -136,10 +137,9 @@ def predict(points: np.ndarray, sigma_px: float, priors: tuple[tuple[float, floa
     covariance = np.linalg.inv(normal)
     sigma = np.eye(2) * (sd_px**2)[:, None, None]
     pixels = project(CAMERA, TABLE_I, points)
-    forms = {"O1": ("printed", False), "O1rc": ("depth", True)}
-    leaks = {k: Orthogonal(CAMERA, points, pixels, sigma, f, r).statistics(TABLE_I) for k, (f, r) in forms.items()}
-    out = {"P": covariance, "O1_truth": leaks["O1"].noise, "O1rc_truth": leaks["O1rc"].noise,
-           "Oit": leaks["O1"].iterated, "Oitrc": leaks["O1rc"].iterated}
+    leaks = {k: Orthogonal(CAMERA, points, pixels, sigma, f, r).statistics(TABLE_I) for k, (f, r) in FORMS.items()}
+    out = {"P": covariance, "Oit": leaks["O1"].iterated, "Oitrc": leaks["O1rc"].iterated,
+           **{f"{k}_truth": leak.noise for k, leak in leaks.items()}}
     for degrees, metres in priors:
         tag, sd = f"{degrees:g}_{metres:g}", np.array([metres] * 3 + [np.radians(degrees)] * 3)
         for k, leak in leaks.items():
@@ -156,8 +156,11 @@ def tilt_deg(covariance: np.ndarray) -> float:
 
 def errors(poses: Poses) -> np.ndarray:
     """(B, 6) errors of ELEMENTS: omega, phi, kappa [degrees], X, Y, Z [m]."""
-    d = poses.error(TABLE_I.m, TABLE_I.centre)
-    return np.hstack([np.degrees(d[:, 3:] @ angle_derivatives(TABLE_I.m).T), d[:, :3]])
+    m = poses.m
+    omega, kappa = np.arctan2(-m[:, 2, 1], m[:, 2, 2]), np.arctan2(-m[:, 1, 0], m[:, 0, 0])
+    opk = np.stack([omega, np.arcsin(np.clip(m[:, 2, 0], -1, 1)), kappa], axis=1)
+    turns = (opk - TABLE_I.angles + np.pi) % (2 * np.pi) - np.pi
+    return np.hstack([np.degrees(turns), poses.centre - TABLE_I.centre])
 
 
 def summary(poses: Poses) -> dict[str, float]:

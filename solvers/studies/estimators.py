@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..geometry import skew
+from ..orientation.orthogonal import Form
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ def perspective(points: np.ndarray, xy: np.ndarray, c: float, sigma_mm: np.ndarr
     given, weight = prior if prior is not None else (start, np.zeros(0))
     m, centre = np.array(start.m), np.array(start.centre)
     cost, rest = np.empty(len(m)), np.empty(len(m), bool)
-    _kernels.perspective(*map(_plain, (points, xy)), c, _plain(sigma_mm), m, centre, _plain(given.m), _plain(given.centre),
+    _kernels.perspective(_plain(points), _plain(xy), c, _plain(sigma_mm), m, centre, _plain(given.m), _plain(given.centre),
                          _plain(weight), steps, cost, rest)
     return Poses(m, centre, rest), cost
 
@@ -73,19 +74,19 @@ def best_of(*found: tuple[Poses, np.ndarray]) -> Poses:
     return Poses(*(np.stack([getattr(p, name) for p, _ in found])[pick, rows] for name in ("m", "centre", "ok")))
 
 
-def orthogonal_pass(points: np.ndarray, xy: np.ndarray, c: float, approximate: Poses, form: str = "depth",
+def orthogonal_pass(points: np.ndarray, xy: np.ndarray, c: float, approximate: Poses, form: Form = "depth",
                     recentre: bool = True) -> Poses:
     """One pass of the orthogonal model through approximate orientations (FORMULAS sections 3.1 to 3.5)."""
     return _orthogonal(points, xy, c, approximate, form, recentre, 1)
 
 
-def orthogonal_iterated(points: np.ndarray, xy: np.ndarray, c: float, start: Poses, form: str = "depth", recentre: bool = True,
+def orthogonal_iterated(points: np.ndarray, xy: np.ndarray, c: float, start: Poses, form: Form = "depth", recentre: bool = True,
                         rounds: int = 200) -> Poses:
     """Transform again until nothing changes; ok tells which runs came to rest."""
     return _orthogonal(points, xy, c, start, form, recentre, rounds)
 
 
-def _orthogonal(points: np.ndarray, xy: np.ndarray, c: float, start: Poses, form: str, recentre: bool, rounds: int) -> Poses:
+def _orthogonal(points: np.ndarray, xy: np.ndarray, c: float, start: Poses, form: Form, recentre: bool, rounds: int) -> Poses:
     from . import _kernels
 
     b = len(points)
@@ -93,7 +94,8 @@ def _orthogonal(points: np.ndarray, xy: np.ndarray, c: float, start: Poses, form
     r = _recentring(rays) if recentre else np.broadcast_to(np.eye(3), (b, 3, 3))
     rays = rays @ np.swapaxes(r, 1, 2)
     m, centre, ok = np.ascontiguousarray(r @ start.m), np.array(start.centre), np.empty(b, bool)
-    _kernels.orthogonal(_plain(points), _plain(-c * rays[..., :2] / rays[..., 2:]), c, m, centre, form == "printed", rounds, 40, ok)
+    x = _plain(-c * rays[..., :2] / rays[..., 2:])
+    _kernels.orthogonal(_plain(points), x, c, m, centre, form == "printed", rounds, 40, ok)
     return Poses(np.swapaxes(r, 1, 2) @ m, centre, ok)
 
 

@@ -43,7 +43,9 @@ def save(fig: Any, folder: Path, name: str) -> list[Path]:
 
 def number(value: float, digits: int = 3) -> str:
     """A number with at most so many significant digits, never in powers of ten."""
-    return f"{float(f'{value:.{digits}g}'):.12f}".rstrip("0").rstrip(".")
+    from numpy import format_float_positional
+
+    return format_float_positional(float(f"{value:.{digits}g}"), trim="-")
 
 
 def probability(p: float) -> str:

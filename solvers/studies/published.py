@@ -5,11 +5,13 @@ Reference: Tjahjadi & Agustina, "Single image orientation of UAV's imagery using
 
 from __future__ import annotations
 
+from math import erf
+
 import numpy as np
 
 from ..cameras import ideal_photo
-from ..geometry import Exterior, log
-from .design import CAMERA, PITCH, ground, predict
+from ..geometry import Exterior, angle_derivatives, log
+from .design import CAMERA, PITCH, TABLE_I, ground, predict
 
 LEVEL = 494.8981  # m, the height that lies 300 m below the benchmark's camera
 BENCHMARK = np.array([-2.6368, 3.9069, 88.933, 679421.0695, 9123785.2218, 794.8981])
@@ -61,33 +63,39 @@ def registration_px(row: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.sqrt(((a - b) ** 2).sum(axis=1).reshape(points.shape[:2]).mean(axis=1)) / PITCH
 
 
+def disc(middle: np.ndarray, angle_deg: float = 6.0, n: int = 24) -> np.ndarray:
+    """(k, n, 3) m, level discs of an opening angle around ground points (k, 3)."""
+    i = np.arange(n)
+    r, azimuth = np.sqrt((i + 0.5) / n) * np.tan(np.radians(angle_deg / 2)), i * np.pi * (3 - np.sqrt(5))
+    reach = np.linalg.norm(middle - [0, 0, 300], axis=1)
+    return middle[:, None] + reach[:, None, None] * np.column_stack([r * np.cos(azimuth), r * np.sin(azimuth), np.zeros(n)])
+
+
 def where(row: np.ndarray) -> tuple[float, float, float, np.ndarray]:
-    """Photo position x, y [mm] and flying height [m] of the flat 6 degree cluster that an orientation registers best, as
-    its own least squares solution must, and the cluster (4, 3)."""
-    x, y = (a.ravel() for a in np.meshgrid(np.arange(-10.5, 10.6, 0.25), np.arange(-6.5, 6.6, 0.25)))
-    best: tuple[float, float, float, float, np.ndarray] | None = None
-    for height in np.arange(250, 341, 5.0):
-        middle = ground(np.column_stack([x, y]), 300 - height)
-        azimuth = 0.3 + np.arange(4) * np.pi / 2
-        reach = np.linalg.norm(middle - [0, 0, 300], axis=1) * np.tan(np.radians(3))
-        ring = np.column_stack([np.cos(azimuth), np.sin(azimuth), np.zeros(4)])
-        sets = middle[:, None] + reach[:, None, None] * ring
+    """Photo position x, y [mm] and flying height [m] of the flat 6 degree disc that an orientation registers best, as
+    its own least squares solution must, and the disc (n, 3)."""
+    x, y = (a.ravel() for a in np.meshgrid(np.arange(-10, 10.1, 0.25), np.arange(-6.5, 6.6, 0.25)))
+    found = []
+    for height in np.arange(250.0, 341, 5):
+        sets = disc(ground(np.column_stack([x, y]), 300 - height))
         px = registration_px(row, sets)
         k = int(np.argmin(px))
-        if best is None or px[k] < best[0]:
-            best = float(px[k]), float(x[k]), float(y[k]), float(height), sets[k]
-    assert best is not None
-    return best[1], best[2], best[3], best[4]
+        found.append((float(px[k]), float(x[k]), float(y[k]), float(height), sets[k]))
+    return min(found, key=lambda f: f[0])[1:]
 
 
 def chance(points: np.ndarray, sigma_px: float, within_deg: float, method: str = "O1_truth") -> float:
-    """Probability by linear theory that the tilt of a cluster agrees with the reference to within_deg [degrees].
+    """Probability by linear theory that the rotation of a cluster agrees with the reference to within_deg [degrees].
 
-    The tilt error is a normal pair with the covariance of `predict`; its distribution is integrated over directions.
+    The rotation vector is normal with the covariance of `predict`; its length is integrated over all directions.
     """
-    c = predict(points, sigma_px, ())[method][3:5, 3:5]
-    u = np.linspace(0, 2 * np.pi, 721)[:-1]
-    d = np.stack([np.cos(u), np.sin(u)], axis=1)
-    q = np.einsum("ki,ij,kj->k", d, np.linalg.inv(c), d)
+    back = np.linalg.inv(angle_derivatives(TABLE_I.m))
+    variance = np.linalg.eigvalsh(back @ predict(points, sigma_px, ())[method][3:, 3:] @ back.T)
+    z, weight = np.polynomial.legendre.leggauss(300)
+    u = np.linspace(0, 2 * np.pi, 361)[:-1]
+    flat = np.sqrt(1 - z**2)[:, None]
+    q = z[:, None] ** 2 / variance[0] + flat**2 * (np.cos(u) ** 2 / variance[1] + np.sin(u) ** 2 / variance[2])
     r = np.radians(within_deg)
-    return float(((1 - np.exp(-q * r * r / 2)) / q).mean() / np.sqrt(np.linalg.det(c)))
+    root = r * np.sqrt(q / 2)
+    bell = np.vectorize(erf)(root) * np.sqrt(np.pi / 2) / q**1.5 - r * np.exp(-(root**2)) / q
+    return float((weight @ bell).mean() * 2 * np.pi / np.sqrt((2 * np.pi) ** 3 * variance.prod()))
