@@ -99,6 +99,13 @@ def parser() -> Parser:
     simulate.add_argument("--reduction", type=int, choices=range(1, 17), default=4, metavar="N",
                           help="photos N times smaller (default: 4)")
 
+    from .studies import KINDS
+
+    study = _command(commands, "study", _study, "compare models honestly: tables, figures and a page of plain words")
+    study.add_argument("kind", metavar="KIND", choices=tuple(KINDS), help="; ".join(f"{k}: {v}" for k, v in KINDS.items()))
+    study.add_argument("-o", "--output", required=True, metavar="FOLDER")
+    study.add_argument("--runs", type=_count, metavar="N", help="draws of every case (default: a few minutes' worth)")
+
     log = _command(commands, "log", _log, "open the recording of a run in rerun's web viewer on 127.0.0.1")
     log.add_argument("project", metavar="PROJECT|RUN")
     log.add_argument("--no-browser", action="store_true", help="only print the address")
@@ -170,6 +177,21 @@ def _simulate(args: argparse.Namespace) -> int:
              "points": len(block.points), "observations": len(block.observations)}
     return _emit(args, value,
                  f"{args.output}: {len(block.images)} images, {len(block.points)} points\nnext: {PROG} view {args.output}")
+
+
+def _study(args: argparse.Namespace) -> int:
+    from .studies import run
+
+    shown = sys.stderr.isatty()
+
+    def progress(line: str) -> None:
+        if not args.quiet:
+            print(f"\r\033[K{line}" if shown else line, end="" if shown else "\n", file=sys.stderr, flush=True)
+
+    files = run(args.kind, Path(args.output), args.runs, progress)
+    if shown:
+        progress("")
+    return _emit(args, {"study": args.kind, "files": [str(f) for f in files]}, f"{files[-1]}: {len(files)} files written")
 
 
 def _log(args: argparse.Namespace) -> int:
@@ -250,6 +272,12 @@ def _names(text: str) -> tuple[str, ...]:
     if not names:
         raise argparse.ArgumentTypeError("expected names separated by commas")
     return names
+
+
+def _count(text: str) -> int:
+    if not text.isascii() or not text.isdecimal() or int(text) < 2:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number of at least 2")
+    return int(text)
 
 
 def _positive(text: str) -> float:
