@@ -92,6 +92,26 @@ def parser() -> Parser:
     resect.add_argument("--free", type=_names, default=(), metavar="c,xp,yp,k1,...",
                         help="perspective: interior parameters to adjust")
 
+    geo = _command(commands, "georeference", _georeference, "exterior orientation from onboard GPS and IMU")
+    _georeference_options(geo)
+
+    cross = _command(commands, "intersect", _intersect, "object points from oriented images")
+    cross.add_argument("project", metavar="PROJECT")
+    cross.add_argument("--points", type=_names, default=(), metavar="A,B", help="only these points (default: all seen twice)")
+    cross.add_argument("--robust", action="store_true", help="leave out rays that the others refute, and name them")
+    _orientation_source(cross)
+
+    mono = _command(commands, "monoplot", _monoplot, "ground coordinates of a pixel of one oriented image")
+    mono.add_argument("project", metavar="PROJECT")
+    mono.add_argument("--image", required=True, metavar="N")
+    mono.add_argument("--at", type=_pixel, required=True, metavar="COL,ROW",
+                      help="pixel of the full format; 0,0 is the centre of the top-left pixel")
+    ground = mono.add_mutually_exclusive_group()
+    ground.add_argument("--dem", metavar="DEM.tif", help="heights of the ground (default: [surface] of the project)")
+    ground.add_argument("--z", type=_number, metavar="H", help="level ground at this height [m]")
+    mono.add_argument("--sigma-z", type=_positive, metavar="S", help="standard error of the ground's height [m]")
+    _orientation_source(mono)
+
     simulate = _command(commands, "simulate", _simulate, "make a project with known truth")
     simulate.add_argument("kind", metavar="KIND", choices=SIMULATIONS, help=" | ".join(SIMULATIONS))
     simulate.add_argument("-o", "--output", required=True, metavar="FOLDER")
@@ -169,6 +189,46 @@ def _resect(args: argparse.Namespace) -> int:
                    f"{first.why}")
 
 
+def _georeference(args: argparse.Namespace) -> int:
+    from .orientation import Rig
+    from .report_orientation import georeference_text
+    from .workflows_georeference import Flown, georeference_flight
+
+    def three(values: list[float] | None) -> tuple[float, float, float] | None:
+        return None if values is None else (values[0], values[1], values[2])
+
+    rig = Rig(three(args.lever_arm) or (0.0, 0.0, 0.0), three(args.boresight) or (0.0, 0.0, 0.0), three(args.sigma_m),
+              three(args.sigma_deg))
+    done = georeference_flight(args.project, Flown(
+        images=tuple(args.image), crs=args.crs, positions=args.positions, mrk=args.mrk, log=args.log, log_offset=args.log_offset,
+        heights=args.heights.replace("-", " "), photo_heights=args.photo_heights, undulation=args.undulation,
+        height_bias=args.height_bias, take_off=args.take_off, flying_height=args.flying_height, rig=rig, ground_z=args.ground_z,
+        dem=args.dem, check_headings=args.check_headings, correct_headings=args.correct_headings, footprints=args.footprints,
+        write_priors=args.write_priors, pixel_um=args.pixel_um, c_mm=args.c_mm))
+    _emit(args, done.to_json(), georeference_text(done))
+    if not done.failed:
+        return 0
+    return _cannot(f"image '{done.failed[0][0]}': {done.failed[0][1]}{_and_more(len(done.failed) - 1)}")
+
+
+def _intersect(args: argparse.Namespace) -> int:
+    from .report_orientation import intersection_text
+    from .workflows_orientation import intersect_project
+
+    done = intersect_project(args.project, args.points, robust=args.robust, source=args.source)
+    _emit(args, done.to_json(), intersection_text(done))
+    failed = done.result.failed
+    return 0 if not failed else _cannot(failed[0][1] + _and_more(len(failed) - 1))
+
+
+def _monoplot(args: argparse.Namespace) -> int:
+    from .report_orientation import monoplot_text
+    from .workflows_orientation import monoplot_project
+
+    done = monoplot_project(args.project, args.image, args.at, dem=args.dem, z=args.z, sigma_z=args.sigma_z, source=args.source)
+    return _emit(args, done.to_json(), monoplot_text(done))
+
+
 def _simulate(args: argparse.Namespace) -> int:
     from .workflows import simulate_project
 
@@ -215,6 +275,49 @@ def _command(commands: Any, name: str, run: Callable[[argparse.Namespace], int],
     command.add_argument("--quiet", action="store_true", help="print nothing but errors")
     command.set_defaults(run=run)
     return command
+
+
+def _georeference_options(command: Parser) -> None:
+    three = {"nargs": 3, "type": _number}
+    command.add_argument("project", metavar="PROJECT|FOLDER", help="a project, a folder of photos, or a table of positions")
+    command.add_argument("--image", action="extend", nargs="+", default=[], metavar="N", help="only these images (default: all)")
+    command.add_argument("--crs", help="coordinate system for a folder: EPSG:CODE (default: its UTM zone)")
+    command.add_argument("--footprints", metavar="F.geojson", help="write what each photo covers on the ground")
+    command.add_argument("--write-priors", action="store_true", help="put the result into the project as priors")
+    data = command.add_argument_group("onboard data beside the photos")
+    data.add_argument("--positions", metavar="TABLE", help="a line per photo: image, lat, lon, height, yaw, pitch, roll")
+    data.add_argument("--mrk", metavar="FILE", help="DJI Timestamp.MRK, a line per photo in their order")
+    data.add_argument("--log", metavar="LOG.csv", help="autopilot log: time, lat, lon, height, yaw, pitch, roll")
+    data.add_argument("--log-offset", type=_number, metavar="S", help="log time minus photo time [s] (default: estimated)")
+    data.add_argument("--lever-arm", **three, metavar=("F", "R", "D"), help="antenna to camera: forward, right, down [m]")
+    data.add_argument("--boresight", **three, metavar=("X", "Y", "Z"), help="turn of the camera on its mount [degrees]")
+    data.add_argument("--sigma-m", **three, metavar=("E", "N", "U"), help="standard errors of the positions [m]")
+    data.add_argument("--sigma-deg", **three, metavar=("T", "T", "YAW"), help="standard errors of the attitudes [degrees]")
+    data.add_argument("--check-headings", action="store_true", help="compare the yaw angles with what the photos show")
+    data.add_argument("--correct-headings", action="store_true", help="... and turn the photos whose yaw is wrong")
+    heights = command.add_argument_group("heights")
+    heights.add_argument("--heights", choices=("as-given", "levelled", "ellipsoidal"), default="as-given",
+                         help="what the project's heights are (default: whatever the photos' are)")
+    heights.add_argument("--photo-heights", choices=("levelled", "ellipsoidal"),
+                         help="what the photos' heights are, if they do not say it")
+    heights.add_argument("--undulation", type=_number_or_text, metavar="M|GRID.tif|auto", help="geoid above the ellipsoid")
+    heights.add_argument("--height-bias", type=_number_or_control, metavar="M|control",
+                         help="to add to all heights, or control: estimated by control points")
+    heights.add_argument("--take-off", type=_number, metavar="Z", help="height of the take-off point, to use heights above it")
+    heights.add_argument("--flying-height", type=_number, metavar="Z", help="for photos that state no height")
+    ground = command.add_argument_group("ground and camera, for footprints and headings")
+    where = ground.add_mutually_exclusive_group()
+    where.add_argument("--ground-z", type=_number, metavar="Z",
+                       help="level ground (default: [surface], or the take-off point's level)")
+    where.add_argument("--dem", metavar="DEM.tif", help="heights of the ground")
+    ground.add_argument("--pixel-um", type=_positive, metavar="P", help="pixel size in micrometres, where EXIF does not tell it")
+    ground.add_argument("--c-mm", type=_positive, metavar="C", help="principal distance in mm, where EXIF does not tell it")
+
+
+def _orientation_source(command: Parser) -> None:
+    command.add_argument("--from", dest="source", choices=("auto", "resect", "georeference"), default="auto",
+                         help="orientations: of the latest resect run, else resected now (auto); resected now; of the latest "
+                              "georeference run")
 
 
 def _viewer_options(command: Parser) -> None:
@@ -278,6 +381,41 @@ def _count(text: str) -> int:
     if not text.isascii() or not text.isdecimal() or int(text) < 2:
         raise argparse.ArgumentTypeError(f"'{text}' is not a whole number of at least 2")
     return int(text)
+
+
+def _number(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not abs(value) < float("inf"):
+        raise argparse.ArgumentTypeError(f"'{text}' is not a number")
+    return value
+
+
+def _number_or_text(text: str) -> float | str:
+    try:
+        return _number(text)
+    except argparse.ArgumentTypeError:
+        return text
+
+
+def _number_or_control(text: str) -> float | str:
+    value = _number_or_text(text)
+    if isinstance(value, str) and value != "control":
+        raise argparse.ArgumentTypeError(f"'{text}' is neither a number of metres nor control")
+    return value
+
+
+def _pixel(text: str) -> tuple[float, float]:
+    col, comma, row = text.partition(",")
+    if not comma:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a pixel; write COL,ROW such as 1200,840.5")
+    return _number(col), _number(row)
+
+
+def _and_more(count: int) -> str:
+    return f" (and {count} more)" if count else ""
 
 
 def _positive(text: str) -> float:

@@ -9,6 +9,7 @@ from .geotiff import write_heights
 from .heights import read_heights
 from .metadata import photo_time, read_onboard
 from .photos import Thumbnail, check_photos, photo_path, photo_size, photo_window, surface_path, thumbnail, write_image
+from .priors import write_priors
 from .project import read_project, read_truth, write_observations, write_project
 from .runs import latest_run, load_trace, new_run, save_trace, trace_name
 from .surface import find_geoid, read_surface
@@ -18,4 +19,5 @@ __all__ = ["Ask", "ControlList", "Exif", "Thumbnail", "assemble", "check_photos"
            "find_geoid", "jsonable", "latest_run", "load_trace", "new_run", "photo_path", "photo_size", "photo_time",
            "photo_window", "read_control", "read_exif", "read_flight_log", "read_heights", "read_mrk", "read_onboard",
            "read_positions", "read_project", "read_surface", "read_truth", "save_trace", "surface_path", "thumbnail",
-           "trace_name", "write_heights", "write_image", "write_json", "write_observations", "write_project"]
+           "trace_name", "write_heights", "write_image", "write_json", "write_observations",
+           "write_priors", "write_project"]

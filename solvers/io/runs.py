@@ -36,10 +36,11 @@ def new_run(project_folder: Path | str, command: str) -> Path:
     raise BadProject(f"{runs}: there are too many runs of this second; delete old runs")
 
 
-def latest_run(project_folder: Path | str, holding: str = "") -> Path | None:
-    """The newest run of a project (that holds a file of the given name), None when there is none."""
+def latest_run(project_folder: Path | str, holding: str = "", command: str = "") -> Path | None:
+    """The newest run of a project (that holds a file of the given name, of one command), None when there is none."""
     runs = Path(project_folder) / "runs"
-    there = [r for r in runs.iterdir() if r.is_dir() and RUN.fullmatch(r.name)] if runs.is_dir() else []
+    there = [r for r in runs.iterdir() if r.is_dir() and RUN.fullmatch(r.name) and command in ("", r.name.split("-")[2])] \
+        if runs.is_dir() else []
     return max((r for r in there if (r / holding).exists()), key=lambda r: _order(r.name), default=None)
 
 
