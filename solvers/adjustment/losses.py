@@ -27,3 +27,22 @@ def danish(t: np.ndarray, k: float = 3.0) -> np.ndarray:
 
 
 LOSSES: dict[str, Callable[[np.ndarray], np.ndarray]] = {"huber": huber, "cauchy": cauchy, "danish": danish}
+
+
+def huber_cost(t: np.ndarray, k: float = 1.5) -> np.ndarray:
+    """What Huber's weights minimise: t^2 / 2 up to k, then a straight line."""
+    return np.where(t <= k, t**2 / 2, k * t - k**2 / 2)
+
+
+def cauchy_cost(t: np.ndarray, k: float = 2.385) -> np.ndarray:
+    """What Cauchy's weights minimise."""
+    return k**2 / 2 * np.log1p((t / k) ** 2)
+
+
+def danish_cost(t: np.ndarray, k: float = 3.0) -> np.ndarray:
+    """What the Danish weights minimise: t^2 / 2 up to k, never more than k^2."""
+    return np.where(t <= k, t**2 / 2, k**2 / 2 * (2.0 - danish(t, k)))
+
+
+COSTS: dict[str, Callable[[np.ndarray], np.ndarray]] = {"huber": huber_cost, "cauchy": cauchy_cost, "danish": danish_cost}
+"""The same functions as costs: d cost / d t = weight(t) t."""

@@ -1,0 +1,146 @@
+"""Bundle adjustment of a block: prepare the problem, let the engine step it, conclude with everything that judges it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ...adjustment import Options, Trace, iterate, solve
+from ...adjustment.losses import LOSSES
+from ...block import Block
+from ...cameras import PARAMETERS
+from ...errors import BadProject, DegenerateGeometry
+from ...geometry import Exterior
+from ..single import camera_manifest
+from .datum import Inner
+from .given import BundleRequest, Given, given, network
+from .network import Network
+from .problem import Bundle
+from .result import Adjusted, described
+from .start import start as begin
+from .statistics import datum_defects, statistics
+
+BUNDLE = Options(max_iterations=60, max_trials=20, step_tolerance=1e-6, cost_tolerance=1e-13)
+
+ROBUST = replace(BUNDLE, max_iterations=200, step_tolerance=1e-4, cost_tolerance=1e-10)
+"""Reweighting converges in a straight line, not at once."""
+
+
+@dataclass(frozen=True)
+class BundleStart:
+    """A bundle ready to iterate, and what is needed to conclude from its trace."""
+
+    problem: Bundle
+    x0: np.ndarray
+    options: Options
+    manifest: dict[str, Any]
+    data: Given
+    warnings: tuple[str, ...]
+
+
+def adjust(block: Block, request: BundleRequest | None = None, **options: Any) -> Adjusted:
+    """Bundle adjustment of a block; options as in `BundleRequest`. Raises BadProject, DegenerateGeometry."""
+    start = prepare_bundle(block, request or BundleRequest(**options))
+    return conclude_bundle(start, Trace(tuple(iterate(start.problem, start.x0, start.options)), start.manifest))
+
+
+def prepare_bundle(block: Block, request: BundleRequest) -> BundleStart:
+    """The problem of a request with its start, found without approximate values.
+
+    Raises BadProject (unknown names, double measurements, missing priors) and DegenerateGeometry (no start, no datum, parts of
+    the block that share nothing).
+    """
+    if request.loss is not None and request.loss not in LOSSES:
+        raise BadProject(f"'{request.loss}' is not a robust loss; choose from {', '.join(LOSSES)}")
+    data = given(block, request)
+    poses, xyz, said = begin(data)
+    net, x0, left = network(data, poses, xyz)
+    inner = _inner(data, net, x0) if request.datum == "free" else None
+    problem = Bundle.of(net, inner, None if request.compiled is None else not request.compiled)
+    if inner:
+        x0 = inner.restored(net, x0)
+    elif named := datum_defects(problem, x0):
+        raise DegenerateGeometry(f"{block.name}: control and priors leave free {'; '.join(named)}; add control, or take "
+                                 "--datum free")
+    _connected(block, net, inner is None)
+    if problem.dof < 0:
+        raise DegenerateGeometry(f"{block.name}: {net.observed} observations cannot determine {net.observed - problem.dof} "
+                                 "unknowns; measure more points or free fewer interior parameters")
+    return BundleStart(problem, _softened(problem, x0), ROBUST if request.loss else BUNDLE, _manifest(data, net), data,
+                       (*left, *said))
+
+
+def _softened(problem: Bundle, x0: np.ndarray) -> np.ndarray:
+    """Where a loss begins: losses that forget far observations would forget all at a crude start, so Huber's goes first."""
+    if problem.network.loss in (None, "huber"):
+        return x0
+    gentle = Bundle.of(replace(problem.network, loss="huber"), problem.inner, problem.compiled is None)
+    last = solve(gentle, x0, replace(BUNDLE, step_tolerance=0.01)).last
+    return last.x if np.isfinite(last.cost) else x0
+
+
+def conclude_bundle(start: BundleStart, trace: Trace) -> Adjusted:
+    """The adjusted block at the end of a trace, with covariances, redundancy, control and check points and warnings."""
+    stats = statistics(start.problem, trace.last.x)
+    return described(start.data, start.problem, trace, stats, start.warnings)
+
+
+def _inner(data: Given, net: Network, x0: np.ndarray) -> Inner:
+    """Inner constraints on the points whose coordinates are given, on all where fewer than three are or they lie on a line."""
+    names = {name: j for j, name in enumerate(data.block.points.names)}
+    reference = data.approximate[[names[n] for n in net.points]]
+    rows = np.flatnonzero(np.isfinite(reference).all(axis=1))
+    if len(rows) >= 3 and np.linalg.svd(reference[rows] - reference[rows].mean(axis=0), compute_uv=False)[1] > 1e-9:
+        return Inner(rows, reference[rows])
+    points = net.split(x0)[2]
+    return Inner(np.arange(len(points)), points.copy())
+
+
+def _connected(block: Block, net: Network, held: bool) -> None:
+    """Refuse a free network in pieces, and pieces that share no point and have no datum of their own."""
+    from scipy.sparse import csr_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    m, n = len(net.images), len(net.points)
+    free = net.point < net.live
+    graph = csr_matrix((np.ones(int(free.sum())), (net.image[free], m + net.point[free])), shape=(m + n, m + n))
+    count, label = connected_components(graph, directed=False)
+    parts = [np.flatnonzero(label[:m] == k) for k in range(count) if (label[:m] == k).any()]
+    if len(parts) < 2:
+        return
+    for part in parts:
+        control = np.asarray(np.isfinite(net.known).all(axis=1))
+        seen = np.unique(net.point[np.isin(net.image, part)])
+        if held and (control[seen].sum() >= 3 or any(net.priors[i] is not None for i in part)):
+            continue
+        smallest = min(parts, key=len)
+        names = ", ".join(f"'{net.images[i]}'" for i in smallest[:6]) + (" ..." if len(smallest) > 6 else "")
+        raise DegenerateGeometry(f"{block.name}: the block falls into {len(parts)} parts that share no point, one of them "
+                                 f"image(s) {names}; measure tie points between them or give each part its own control")
+
+
+def _manifest(data: Given, net: Network) -> dict[str, Any]:
+    """JSON-able description of the trace: how to read x, and what was adjusted."""
+    request = asdict(data.request)
+    request["free"] = {c: list(f) for c, f in zip(net.cameras, net.free, strict=True)}
+    return {
+        "problem": "bundle", "model": "perspective", "images": list(net.images), "cameras": list(net.cameras),
+        "camera_of": net.camera.tolist(),
+        "interiors": [camera_manifest(i) for i in net.interiors], "points": list(net.points), "crs": data.block.crs,
+        "frame": data.block.frame,
+        "origin": [float(v) for v in data.frame.origin], "options": request,
+        "layout": {"images": "X, Y, Z, m11 .. m33 of every image", "cameras": ", ".join(PARAMETERS) + " of every camera",
+                   "points": "X, Y, Z of every point"},
+    }
+
+
+def exteriors(trace: Trace, row: int = -1) -> Mapping[str, Exterior]:
+    """Exterior orientations, in the local frame, of one row of a bundle's trace."""
+    names, x = trace.manifest["images"], trace.rows[row].x
+    return {name: Exterior.from_vector(x[12 * i:12 * i + 12]) for i, name in enumerate(names)}
+
+
+__all__ = ["BUNDLE", "BundleRequest", "BundleStart", "adjust", "conclude_bundle", "exteriors", "prepare_bundle"]

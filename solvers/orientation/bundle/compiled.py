@@ -1,0 +1,235 @@
+"""The numpy side of the bundle's kernels: work cut among threads, the reduced system, its inverse where it is stored."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ...adjustment.schur import Pattern, Reduced, Schur
+from .datum import Inner, motions, pins
+from .network import Network
+
+KINDS = {None: 0, "huber": 1, "cauchy": 2, "danish": 3}
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """Normal equations at x before elimination, priors and weighted points in them; V (n, 6) lower, q (n, 3)."""
+
+    at: tuple[Any, ...]
+    U: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    g: np.ndarray
+    h: np.ndarray
+    V: np.ndarray
+    q: np.ndarray
+
+
+class Compiled:
+    """Kernels over one network; threads: how many work at once (None: one for each core)."""
+
+    def __init__(self, network: Network, threads: int | None = None) -> None:
+        self.network = network
+        self.threads = threads or len(os.sched_getaffinity(0)) if hasattr(os,
+                                                                          "sched_getaffinity") else threads or os.cpu_count() or 1
+        self._pool = ThreadPoolExecutor(self.threads)
+        n = np.diff(network.start).astype(float)
+        work = np.cumsum(n * (n + 12.0))
+        self._cuts = [int(c) for c in np.searchsorted(work, work[-1] * np.arange(1, self.threads) / self.threads)]
+        self.longest = int(n.max(initial=1))
+        self.image = network.image.astype(np.int32)
+        self.weight = 1.0 / network.sigma
+
+    @cached_property
+    def _kernels(self) -> Any:
+        from . import _kernels
+
+        return _kernels
+
+    @cached_property
+    def pattern(self) -> Pattern:
+        """Which images share points."""
+        from scipy.sparse import csr_matrix
+
+        net = self.network
+        m = len(net.images)
+        live = net.point < net.live
+        seen = csr_matrix((np.ones(int(live.sum()), np.int32), (net.image[live], net.point[live])), shape=(m, len(net.points)))
+        shared = (seen @ seen.T + csr_matrix((np.ones(m, np.int32), (np.arange(m), np.arange(m))), shape=(m, m))).tocoo()
+        upper = shared.row <= shared.col
+        row, column = shared.row[upper].astype(np.int64), shared.col[upper].astype(np.int64)
+        order = np.lexsort((column, row))
+        return Pattern.of(m, 6, row[order], column[order])
+
+    @cached_property
+    def lut(self) -> np.ndarray:
+        """(m, m) block of each pair of images, -1 for none."""
+        p = self.pattern
+        out = np.full((p.count, p.count), -1, np.int32)
+        out[p.row, p.column] = np.arange(len(p.row), dtype=np.int32)
+        return out
+
+    def _each(self, work: Callable[[int, int, int], Any], end: int | None = None) -> list[Any]:
+        """work(thread, p0, p1) over all points (those below `end`), each thread a share."""
+        end = len(self.network.points) if end is None else end
+        cuts = [0, *(min(c, end) for c in self._cuts), end]
+        if end - cuts[0] < 64 or self.threads == 1:
+            return [work(0, 0, end)]
+        return list(self._pool.map(work, range(self.threads), cuts[:-1], cuts[1:]))
+
+    def _at(self, x: np.ndarray) -> tuple[Any, ...]:
+        """The arguments that all kernels share."""
+        net = self.network
+        poses, interiors, points = net.split(x)
+        return (net.start, self.image, net.camera, net.pixels, self.weight, KINDS[net.loss], poses, net.camera_rows(interiors),
+                points)
+
+    def cost(self, x: np.ndarray) -> float:
+        """Cost of the image observations; inf where a point cannot be seen."""
+        at = self._at(x)
+        return float(sum(self._each(lambda _, a, b: self._kernels.cost(a, b, *at))))
+
+    def gather(self, x: np.ndarray, priors: tuple[np.ndarray, np.ndarray], inner: Inner | None) -> Gathered:
+        """Normal equations at x. A free network gets a minimal datum, of which nothing is left once the inner one is applied."""
+        net, t = self.network, self.threads
+        m, f, live = net.sizes
+        at = (*self._at(x), net.first, net.count, net.which)
+        parts = [np.zeros((t, *shape)) for shape in ((m, 6, 6), (m, 6, f), (f, f), (m, 6), (f,))]
+        v, q = np.zeros((live, 6)), np.zeros((live, 3))
+        self._each(lambda k, a, b: self._kernels.gather(a, b, live, *at, *(p[k] for p in parts), v, q))
+        u, b, c, g, h = (p.sum(axis=0) if t > 1 else p[0] for p in parts)
+        rows, (misclosure, d) = net.prior_arrays[0], priors
+        u[rows] += np.swapaxes(d, 1, 2) @ d
+        g[rows] += (np.swapaxes(d, 1, 2) @ misclosure[..., None])[..., 0]
+        given = net.weight[:live]
+        v[:, [0, 2, 5]] += given
+        q += np.where(given > 0, given * (net.known - net.split(x)[2])[:live], 0.0)
+        if inner:
+            first, second, axis = pins(net, x)
+            u[first] += np.diag(np.diag(u[first]))
+            u[second, axis, axis] *= 2
+        return Gathered(at, u, b, c, g, h, v, q)
+
+    def reduce(self, made: Gathered, damping: float) -> Reduced:
+        """The points eliminated, all diagonals raised by the damping."""
+        net, t, p = self.network, self.threads, self.pattern
+        m, f, live = net.sizes
+        parts = [np.zeros((t, *shape)) for shape in ((len(p.row), 6, 6), (m, 6, f), (f, f), (m, 6), (f,))]
+        self._each(lambda k, a, b: self._kernels.eliminate(a, b, self.longest, *made.at, made.V, made.q, damping, self.lut,
+                                                           *(part[k] for part in parts)), live)
+        for part in parts:
+            for k in range(1, t):
+                part[0] += part[k]
+        s, b, c, g, h = (part[0] for part in parts)
+        diagonal = self.lut[np.arange(m), np.arange(m)]
+        s[diagonal] += made.U
+        s[diagonal[:, None], np.arange(6), np.arange(6)] += damping * np.einsum("mii->mi", made.U)
+        c += made.C + damping * np.diag(np.diag(made.C))
+        return Reduced(p, s, (b + made.B).reshape(6 * m, f), c, (g + made.g).ravel(), h + made.h)
+
+    def expand(self, made: Gathered, images: np.ndarray, shared: np.ndarray, q: np.ndarray, damping: float) -> np.ndarray:
+        """(live, r, 3) points that belong to images (6 m, r) and border (f, r); right sides q (live, r, 3)."""
+        m, _, live = self.network.sizes
+        out = np.empty((live, images.shape[1], 3))
+        cameras = np.ascontiguousarray(images).reshape(m, 6, -1)
+        self._each(lambda _, a, b: self._kernels.expand(a, b, *made.at, made.V, q, damping, cameras, shared, out), live)
+        return out
+
+    def normal(self, x: np.ndarray, priors: tuple[np.ndarray, np.ndarray], inner: Inner | None) -> Schur:
+        made = self.gather(x, priors, inner)
+        diagonal = np.concatenate([np.einsum("mii->mi", made.U).ravel(), np.diag(made.C), made.V[:, [0, 2, 5]].ravel()])
+        scale = np.sqrt(np.maximum(diagonal, max(float(diagonal.max(initial=0.0)) * 1e-24, np.finfo(float).tiny)))
+
+        def expand(images: np.ndarray, shared: np.ndarray, damping: float) -> np.ndarray:
+            return self.expand(made, images[:, None], shared[:, None], made.q[:, None, :], damping).ravel()
+
+        return Schur(np.concatenate([made.g.ravel(), made.h, made.q.ravel()]), scale, lambda damping: self.reduce(made, damping),
+                     expand, _projection(self.network, x, inner) if inner else None)
+
+    def judge(self, x: np.ndarray, priors: tuple[np.ndarray, np.ndarray], inner: Inner | None,
+              observations: bool = True) -> tuple[np.ndarray, ...]:
+        """Covariances a priori: of every pose (m, 6, 6), all freed interior parameters (f, f) and every unknown point
+        (live, 3, 3); with `observations` the standardized residuals (o, 2) and the covariance (o, 2, 2) of what is computed for
+        them, over their own variances.
+
+        Raises numpy.linalg.LinAlgError where the network is singular.
+        """
+        net = self.network
+        m, f, live = net.sizes
+        made = self.gather(x, priors, inner)
+        reduced = self.reduce(made, 0.0)
+        q, qb, qc = reduced.inverse()
+        qb = np.ascontiguousarray(qb.reshape(m, 6, f))
+        points = np.empty((live, 3, 3))
+        o = len(net.image) if observations else 0
+        computed, residual = np.empty((o, 2, 2)), np.empty((o, 2))
+        self._each(lambda _, a, b: self._kernels.judge(a, b, live, self.longest, *made.at, made.V, self.lut, q, qb, qc, points,
+                                                       computed, residual))
+        if not np.isfinite(points).all():
+            raise np.linalg.LinAlgError("a point is not determined by its rays")
+        poses = q[self.lut[np.arange(m), np.arange(m)]]
+        if inner:
+            poses, points = self._transformed(x, inner, made, reduced, poses, points)
+        return poses, qc, points, residual, computed
+
+    def _transformed(self, x: np.ndarray, inner: Inner, made: Gathered, reduced: Reduced, poses: np.ndarray,
+                     points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Covariances under the inner constraints from those of the minimal datum (S-transformation)."""
+        net = self.network
+        m, f, live = net.sizes
+        motion = motions(net, x)
+        h = inner.rows_of(net, motion)
+        right = np.ascontiguousarray(h[:, 6 * m + f:].reshape(7, live, 3).swapaxes(0, 1))
+        g, b = np.zeros((self.threads, m, 6, 7)), np.zeros((self.threads, f, 7))
+        self._each(lambda k, a, e: self._kernels.carry(a, e, *made.at, made.V, right, g[k], b[k]), live)
+        images, shared = reduced.solve(g.sum(axis=0).reshape(6 * m, 7), b.sum(axis=0))
+        objects = self.expand(made, images, shared, right, 0.0)  # (live, 7, 3)
+        small = np.linalg.inv(h @ motion)
+        drift = (small @ images.T).reshape(7, m, 6).swapaxes(0, 1)  # (m, 7, 6): what every datum direction shares with a pose
+        drifts = small @ objects  # (live, 7, 3)
+        centre = small @ np.einsum("npc,nqc->pq", right, objects) @ small.T
+        out = []
+        for covariance, d, way in ((poses, drift, motion[:6 * m].reshape(m, 6, 7)),
+                                   (points, drifts, motion[6 * m + f:].reshape(live, 3, 7))):
+            part = way @ d
+            out.append(covariance - part - np.swapaxes(part, 1, 2) + way @ centre @ np.swapaxes(way, 1, 2))
+        return out[0], out[1]
+
+    def weakest(self, x: np.ndarray, priors: tuple[np.ndarray, np.ndarray], inner: Inner | None, null: float) -> list[np.ndarray]:
+        """(u,) null vectors of the scaled normal matrix, by inverse iteration on a slightly damped one; none where
+        it is regular."""
+        made = self.gather(x, priors, inner)
+        m, f, live = self.network.sizes
+        v = made.V[:, [0, 2, 5]]
+        scale = np.sqrt(np.concatenate([np.einsum("mii->mi", made.U).ravel(), np.diag(made.C)]))
+        y = np.random.default_rng(0).standard_normal((6 * m + f, min(12, 6 * m)))
+        weak = 100 * null
+        try:
+            reduced = self.reduce(made, weak)
+            z = y
+            for _ in range(4):
+                y = np.linalg.qr(z)[0]
+                z = np.concatenate(reduced.solve(*np.split(y * scale[:, None], [6 * m]))) * scale[:, None]
+        except np.linalg.LinAlgError:
+            return []
+        values, turn = np.linalg.eigh((z.T @ y + y.T @ z) / 2)
+        vectors = y @ turn[:, values > 0.3 / weak]
+        images, shared = np.split(vectors / scale[:, None], [6 * m])
+        points = self.expand(made, images, shared, np.zeros((live, images.shape[1], 3)), weak).swapaxes(1, 2)
+        whole = np.concatenate([vectors, (np.sqrt(v)[:, :, None] * points).reshape(3 * live, -1)])
+        return list(whole.T)
+
+
+def _projection(network: Network, x: np.ndarray, inner: Inner) -> Callable[[np.ndarray], np.ndarray]:
+    """What takes the seven motions out of a step."""
+    g = motions(network, x)
+    h = inner.rows_of(network, g)
+    small = h @ g
+    return lambda dx: dx - g @ np.linalg.solve(small, h @ dx)

@@ -1,0 +1,211 @@
+"""What a Block offers a bundle, in the local frame: observations, coordinates that may be used, priors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from ...block import Block
+from ...cameras import PARAMETERS, Interior
+from ...errors import BadProject, DegenerateGeometry
+from ...geometry import Exterior, LocalFrame
+from ..resection import PriorOrientation
+from ..single import given_prior
+from .network import Network
+
+Datum = Literal["control", "prior", "both", "free"]
+
+
+@dataclass(frozen=True)
+class BundleRequest:
+    """What to adjust and how.
+
+    datum: "control" (weighted, fixed where all sigmas are 0), "prior" (onboard positions and angles, no control), "both", or
+    "free" (inner constraints on the points whose coordinates are given, on all where fewer than three are).
+    free: interior parameters adjusted, for every camera, or for each by name. loss: "huber", "cauchy" or "danish", None for
+    least squares. start: how to begin: "auto" (resection, then over tie points, then priors, then a relative orientation),
+    or only "resection", "prior" or "relative". compiled: None lets the size decide.
+    """
+
+    datum: Datum = "control"
+    free: tuple[str, ...] | dict[str, tuple[str, ...]] = ()
+    loss: str | None = None
+    start: Literal["auto", "resection", "prior", "relative"] = "auto"
+    images: tuple[str, ...] | None = None
+    compiled: bool | None = None
+
+
+@dataclass(frozen=True)
+class Given:
+    """A block's data for a bundle, by the block's own indices. known (n, 3) m: coordinates that may be used, NaN where none are;
+    approximate (n, 3): those that may only begin; weight (n, 3) m^-2, inf where fixed, 0 where free. priors: by image."""
+
+    block: Block
+    request: BundleRequest
+    frame: LocalFrame
+    image: np.ndarray
+    point: np.ndarray
+    pixels: np.ndarray
+    sigma: np.ndarray
+    known: np.ndarray
+    approximate: np.ndarray
+    weight: np.ndarray
+    priors: dict[int, PriorOrientation] = field(default_factory=dict)
+
+    def camera(self, image: int) -> Interior:
+        return self.block.cameras[self.block.images[image].camera]
+
+    def seen_in(self, image: int) -> np.ndarray:
+        """Rows of the observations of one image."""
+        return np.flatnonzero(self.image == image)
+
+
+def given(block: Block, request: BundleRequest) -> Given:
+    """Raises BadProject for names that are unknown, points measured twice in one image and missing priors."""
+    free = request.free if isinstance(request.free, dict) else {"": request.free}
+    for name in (n for names in free.values() for n in names):
+        if name not in PARAMETERS:
+            raise BadProject(f"'{name}' is not an interior orientation parameter; choose from {', '.join(PARAMETERS)}")
+    frame = _frame(block)
+    of, roles = block.observations, np.array(block.points.role, dtype=str)
+    keep = np.isfinite(of.pixel).all(axis=1)
+    if request.images is not None:
+        keep &= np.isin(of.image, [block.image_index(name) for name in request.images])
+    rows = np.flatnonzero(keep)
+    image, point = np.asarray(of.image)[rows].astype(int), np.asarray(of.point)[rows].astype(int)
+    _once(block, image, point)
+    sigma = np.where(np.isfinite(of.sigma[rows]), of.sigma[rows], block.image_px)
+    if not (sigma > 0).all():
+        k = int(np.argmax(~(sigma > 0)))
+        raise BadProject(f"observations.csv: the sigma of point '{block.points.names[point[k]]}' in image "
+                         f"'{block.images[image[k]].name}' is {sigma[k]} px, expected a positive number")
+    xyz = np.full((len(block.points), 3), np.nan)
+    finite = np.isfinite(block.points.xyz).all(axis=1)
+    if finite.any():
+        xyz[finite] = frame.to_local(block.points.xyz[finite])
+    control = (roles == "control") & finite if request.datum in ("control", "both") else np.zeros(len(roles), bool)
+    sigma_m = np.where(np.isfinite(block.points.sigma), block.points.sigma, block.control_m)
+    fixed = (sigma_m <= 0).all(axis=1)
+    weight = np.where(control[:, None], 1 / np.maximum(sigma_m, 1e-6) ** 2, 0.0)
+    weight[control & fixed] = np.inf
+    used = roles != "check"
+    priors: dict[int, PriorOrientation] = {}
+    if request.datum in ("prior", "both"):
+        for i in np.unique(image):
+            whole = _prior(block, int(i), frame)
+            if whole is not None and whole.count:
+                priors[int(i)] = whole
+        if not priors:
+            raise BadProject(f"{block.name}: no image has a prior with sigma_m; give [images.NAME.prior] X, Y, Z, omega_deg, "
+                             "phi_deg, kappa_deg and sigma_m in project.toml, or take another datum")
+    return Given(block, request, frame, image, point, of.pixel[rows], sigma, np.where(control[:, None], xyz, np.nan),
+                 np.where(used[:, None], xyz, np.nan), weight, priors)
+
+
+def _prior(block: Block, image: int, frame: LocalFrame) -> PriorOrientation | None:
+    """An image's weighted prior: position and angles, or a position alone."""
+    prior = block.images[image].prior
+    if prior is None or prior.centre is None:
+        return None
+    if prior.angles is not None:
+        return given_prior(block, block.images[image].name, frame)
+    sigma = np.full(3, np.inf) if prior.sigma_m is None else np.asarray(prior.sigma_m, float)
+    return PriorOrientation.of(Exterior(np.eye(3), frame.to_local(prior.centre)), np.diag([*sigma**2, np.inf, np.inf, np.inf]))
+
+
+def _frame(block: Block) -> LocalFrame:
+    """The block's local frame: about its known points, or about its priors where no point is known."""
+    xyz = block.points.xyz
+    if not np.isfinite(xyz).all(axis=1).any():
+        centres = [i.prior.centre for i in block.images if i.prior is not None and i.prior.centre is not None]
+        xyz = np.array(centres, float).reshape(-1, 3)
+    return LocalFrame.around(xyz, block.crs, block.frame)
+
+
+def _once(block: Block, image: np.ndarray, point: np.ndarray) -> None:
+    key = image * (len(block.points) + 1) + point
+    order = np.argsort(key, kind="stable")
+    twice = np.flatnonzero(np.diff(key[order]) == 0)
+    if len(twice):
+        k = order[twice[0]]
+        raise BadProject(f"observations.csv: point '{block.points.names[point[k]]}' is measured twice in image "
+                         f"'{block.images[image[k]].name}'; keep one of the two")
+
+
+def network(data: Given, poses: dict[int, Exterior], xyz: np.ndarray) -> tuple[Network, np.ndarray, list[str]]:
+    """The network of the oriented images and of the points with a start xyz (n, 3) that two of them see (one is enough for
+    control); its x; and what was left out, in words.
+
+    Images keep their order. Unknown points follow the first images that see them, fixed points come last.
+    """
+    block, request, warnings = data.block, data.request, []
+    images = sorted(poses)
+    ok = np.isin(data.image, images)
+    rays = np.bincount(data.point[ok], minlength=len(block.points))
+    known = np.isfinite(data.known).all(axis=1)
+    use = ((rays >= 2) | ((rays >= 1) & known)) & np.isfinite(xyz).all(axis=1)
+    warnings += _left_out(data, poses, rays, use)
+    ok &= use[data.point]
+    if not ok.any():
+        raise DegenerateGeometry(f"{block.name}: no point is seen in two oriented images; measure points in observations.csv")
+    fixed = np.asarray(np.isinf(data.weight).all(axis=1))
+    renumber = np.full(len(block.images), -1)
+    renumber[images] = np.arange(len(images))
+    image, point = renumber[data.image[ok]], data.point[ok]
+    points = _sorted(image, point, fixed, len(block.points))
+    place = np.full(len(block.points), -1)
+    place[points] = np.arange(len(points))
+    order = np.lexsort((image, place[point]))
+    names = list(dict.fromkeys(block.images[i].camera for i in images))
+    free = request.free if isinstance(request.free, dict) else dict.fromkeys(names, request.free)
+    live = int((~fixed[points]).sum())
+    weight = data.weight[points].copy()
+    weight[live:] = 0.0
+    net = Network(
+        images=tuple(block.images[i].name for i in images), cameras=tuple(names),
+        interiors=tuple(block.cameras[n] for n in names),
+        camera=np.array([names.index(block.images[i].camera) for i in images]),
+        points=tuple(block.points.names[j] for j in points),
+        image=image[order], point=place[point][order], pixels=np.ascontiguousarray(data.pixels[ok][order]),
+        sigma=data.sigma[ok][order],
+        free=tuple(tuple(p for p in PARAMETERS if p in free.get(n, ())) for n in names), known=data.known[points], weight=weight,
+        live=live, priors=tuple(data.priors.get(i) for i in images), loss=request.loss)
+    start = xyz[points].copy()
+    start[live:] = data.known[points][live:]
+    x = net.pack(np.array([poses[i].vector for i in images]), np.array([c.parameters for c in net.interiors]), start)
+    return net, x, warnings
+
+
+def _sorted(image: np.ndarray, point: np.ndarray, fixed: np.ndarray, n: int) -> np.ndarray:
+    """Points that are seen, by the first and second image that see them, fixed ones last: neighbours in memory share images."""
+    order = np.lexsort((image, point))
+    begin = np.searchsorted(point[order], np.arange(n))
+    count = np.bincount(point, minlength=n)
+    seen = np.flatnonzero(count)
+    first = image[order][begin[seen]]
+    second = image[order][begin[seen] + (count[seen] > 1)]
+    return seen[np.lexsort((seen, second, first, fixed[seen]))]
+
+
+def _left_out(data: Given, poses: dict[int, Exterior], rays: np.ndarray, use: np.ndarray) -> list[str]:
+    """What takes no part, in words."""
+    block, out = data.block, []
+    counts = np.bincount(data.image, minlength=len(block.images))
+    wanted = data.request.images
+    missing = [i.name for k, i in enumerate(block.images) if k not in poses and (wanted is None or i.name in wanted)]
+    if missing:
+        out.append(f"{len(missing)} image(s) could not be oriented and take no part: "
+                   + _few([f"{name} ({counts[block.image_index(name)]} observations)" for name in missing]))
+    single = [block.points.names[j] for j in np.flatnonzero((rays == 1) & ~use)]
+    if single:
+        out.append(f"{len(single)} point(s) are seen in one oriented image only and take no part: {_few(single)}")
+    lost = [block.points.names[j] for j in np.flatnonzero((rays >= 2) & ~use)]
+    if lost:
+        out.append(f"{len(lost)} point(s) could not be intersected and take no part: {_few(lost)}")
+    return out
+
+
+def _few(names: list[str]) -> str:
+    return ", ".join(names[:6]) + (" ..." if len(names) > 6 else "")

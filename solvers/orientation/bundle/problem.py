@@ -1,0 +1,166 @@
+"""The bundle as a problem of the engine: poses, interior orientations and object points together.
+
+x holds 12 numbers of every image, the ten parameters of every camera and three of every point; the tangent is (centre, left
+rotation vector) of every image, the freed interior parameters and the changes of the points that are not fixed.
+Reference: Brown 1958; FORMULAS sections 2, 3.7 and 9.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...adjustment import Dense, Linear
+from ...adjustment.losses import COSTS, LOSSES
+from ...adjustment.schur import Schur
+from ...cameras import project, project_derivatives
+from ...geometry import Exterior
+from .compiled import Compiled
+from .datum import Inner, motions
+from .network import Network
+
+DENSE = 2_000_000
+"""Elements of a dense design matrix up to which no compiled kernel is needed."""
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """A bundle. inner: inner constraints of a free network, None where control or priors give the datum. compiled: the
+    kernels that eliminate the points, None for the plain dense path, which gives the same."""
+
+    network: Network
+    inner: Inner | None = None
+    compiled: Compiled | None = None
+
+    @classmethod
+    def of(cls, network: Network, inner: Inner | None = None, dense: bool | None = None) -> Bundle:
+        """Dense where the design matrix is small (or as told), compiled otherwise."""
+        m, f, live = network.sizes
+        small = 2 * len(network.image) * (6 * m + f + 3 * live) <= DENSE
+        return cls(network, inner, None if (small if dense is None else dense) else Compiled(network))
+
+    @property
+    def dof(self) -> int:
+        m, f, live = self.network.sizes
+        return self.network.observed - (6 * m + f + 3 * live) + (7 if self.inner else 0)
+
+    def cost(self, x: np.ndarray) -> float:
+        net = self.network
+        _, interiors, points = net.split(x)
+        if (interiors[:, 0] <= 0).any() or not np.isfinite(x).all():
+            return float("inf")
+        given = net.weight > 0
+        total = 0.5 * float((net.weight[given] * (net.known - points)[given] ** 2).sum())
+        if len(net.prior_arrays[0]):
+            total += 0.5 * float((self.prior_rows(x)[0] ** 2).sum())
+        if self.compiled:
+            return total + self.compiled.cost(x)
+        t = np.linalg.norm(self.residuals(x), axis=1) / net.sigma
+        seen = COSTS[net.loss](t) if net.loss else t**2 / 2
+        return total + float(seen.sum()) if np.isfinite(t).all() else float("inf")
+
+    def constraints(self, x: np.ndarray) -> np.ndarray:
+        return np.zeros(0)  # `retract` keeps the inner constraints exactly
+
+    def retract(self, x: np.ndarray, dx: np.ndarray) -> np.ndarray:
+        net = self.network
+        m, f, live = net.sizes
+        poses, interiors, points = (part.copy() for part in net.split(x))
+        step = dx[:6 * m].reshape(m, 6)
+        poses[:, :3] += step[:, :3]
+        poses[:, 3:] = (exp_many(step[:, 3:]) @ poses[:, 3:].reshape(m, 3, 3)).reshape(m, 9)
+        interiors[np.repeat(np.arange(len(net.cameras)), net.count), net.which] += dx[6 * m:6 * m + f]
+        points[:live] += dx[6 * m + f:].reshape(live, 3)
+        x = net.pack(poses, interiors, points)
+        return self.inner.restored(net, x) if self.inner else x
+
+    def normal(self, x: np.ndarray) -> Dense | Schur:
+        if self.compiled:
+            return self.compiled.normal(x, self.prior_rows(x), self.inner)
+        return self.linear(x).normal()
+
+    # -- the plain path -------------------------------------------------------------------------------------------------
+
+    def residuals(self, x: np.ndarray) -> np.ndarray:
+        """(o, 2) px, observed minus projected; NaN where a point cannot be seen."""
+        net = self.network
+        poses, _, points = net.split(x)
+        v = np.empty_like(net.pixels)
+        interiors = net.interiors_at(x)
+        for i in range(len(net.images)):
+            rows = np.flatnonzero(net.image == i)
+            at = Exterior.from_vector(poses[i])
+            v[rows] = net.pixels[rows] - project(interiors[net.camera[i]], at, points[net.point[rows]])
+        return v
+
+    def linear(self, x: np.ndarray) -> Linear:
+        """One dense linear problem: image observations, then weighted coordinates and priors, whitened, in pairs."""
+        net = self.network
+        m, f, live = net.sizes
+        poses, _, points = net.split(x)
+        u, interiors = 6 * m + f + 3 * live, net.interiors_at(x)
+        v, j = np.empty_like(net.pixels), np.zeros((len(net.image), 2, u))
+        for i in range(m):
+            rows = np.flatnonzero(net.image == i)
+            camera, of = net.camera[i], net.point[rows]
+            at = project_derivatives(interiors[camera], Exterior.from_vector(poses[i]), points[of])
+            v[rows] = net.pixels[rows] - at.pixels
+            j[rows, :, 6 * i:6 * i + 3], j[rows, :, 6 * i + 3:6 * i + 6] = at.centre, at.rotation
+            k = slice(net.first[camera], net.first[camera] + net.count[camera])
+            j[rows, :, 6 * m + k.start:6 * m + k.stop] = at.interior[:, :, net.which[k]]
+            unknown = of < live
+            for c in range(3):
+                j[rows[unknown], :, 6 * m + f + 3 * of[unknown] + c] = at.point[unknown, :, c]
+        factor = LOSSES[net.loss](np.linalg.norm(v, axis=1) / net.sigma) if net.loss else np.ones(len(v))
+        p = (factor / net.sigma**2)[:, None, None] * np.eye(2)
+        more_v, more_j = self._whitened(x, u)
+        n = len(more_v)
+        v = np.concatenate([v, more_v])
+        h = w = None
+        if self.inner:
+            h, w = self.inner.rows_of(net, motions(net, x)), np.zeros(7)
+        return Linear(v, np.concatenate([j, more_j]), np.concatenate([p, np.broadcast_to(np.eye(2), (n, 2, 2))]), h, w)
+
+    def _whitened(self, x: np.ndarray, u: int) -> tuple[np.ndarray, np.ndarray]:
+        """(r, 2) misclosures and (r, 2, u) derivatives of weighted coordinates and priors, in standard deviations."""
+        net = self.network
+        m, f, _ = net.sizes
+        n, c = np.nonzero(net.weight > 0)
+        root = np.sqrt(net.weight[n, c])
+        v1, j1 = root * (net.known - net.split(x)[2])[n, c], np.zeros((len(n), u))
+        j1[np.arange(len(n)), 6 * m + f + 3 * n + c] = root
+        images, (v2, d) = net.prior_arrays[0], self.prior_rows(x)
+        j2 = np.zeros((len(images), 6, u))
+        for row, i in enumerate(images):
+            j2[row, :, 6 * i:6 * i + 6] = d[row]
+        v, j = np.concatenate([v1, v2.ravel()]), np.concatenate([j1, j2.reshape(-1, u)])
+        if len(v) % 2:
+            v, j = np.append(v, 0.0), np.concatenate([j, np.zeros((1, u))])
+        return v.reshape(-1, 2), j.reshape(-1, 2, u)
+
+    def prior_rows(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(a, 6) misclosures of the images' priors in standard deviations, and (a, 6, 6) their derivatives, sign turned."""
+        net = self.network
+        roots = net.prior_arrays[2]
+        poses = net.split(x)[0]
+        given = [(p, Exterior.from_vector(poses[i])) for i, p in enumerate(net.priors) if p is not None]
+        v = np.array([p.misclosure(at) for p, at in given]).reshape(-1, 6, 1)
+        d = np.array([p.derivatives(at) for p, at in given]).reshape(-1, 6, 6)
+        return (roots @ v)[:, :, 0], roots @ d
+
+
+def exp_many(d: np.ndarray) -> np.ndarray:
+    """(m, 3, 3) rotations of rotation vectors (m, 3) [rad]."""
+    theta2 = (d**2).sum(axis=1)
+    small = theta2 < 1e-10
+    theta = np.sqrt(np.where(small, 1.0, theta2))
+    a = np.where(small, 1 - theta2 / 6, np.sin(theta) / theta)
+    b = np.where(small, 0.5 - theta2 / 24, (1 - np.cos(theta)) / theta**2)
+    k = np.zeros((len(d), 3, 3))
+    k[:, 0, 1], k[:, 0, 2], k[:, 1, 2] = -d[:, 2], d[:, 1], -d[:, 0]
+    k -= np.swapaxes(k, 1, 2)
+    return np.eye(3) + a[:, None, None] * k + b[:, None, None] * (k @ k)
+
+
+__all__ = ["DENSE", "Bundle", "exp_many"]

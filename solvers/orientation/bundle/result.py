@@ -1,0 +1,223 @@
+"""What a bundle is when it is done: orientations, interiors, points, and how far to trust each of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from ...adjustment import Trace
+from ...adjustment.reliability import ChiSquare, chi_square, correlation
+from ...cameras import PARAMETERS, Interior
+from ...geometry import Exterior
+from ..result import Orientation
+from ..words import bad_fit, undetermined
+from .given import Given
+from .problem import Bundle
+from .statistics import Statistics
+
+SUSPECT = 4.0
+"""Standardized residual from which an observation is listed as suspect (chance of a good one: 6e-5)."""
+
+
+@dataclass(frozen=True)
+class AdjustedPoint:
+    """An object point. xyz (3,): project coordinates [m]; covariance (3, 3) m^2 in local axes, a priori; off (3,): adjusted minus
+    given, local axes, NaN where nothing is given; rays: images that see it; w (3,): standardized corrections of control."""
+
+    name: str
+    role: str
+    xyz: np.ndarray
+    covariance: np.ndarray
+    off: np.ndarray
+    rays: int
+    w: np.ndarray
+
+    def to_json(self) -> dict[str, Any]:
+        sigma = np.sqrt(np.diag(self.covariance))
+        return {"name": self.name, **dict(zip("XYZ", map(float, self.xyz), strict=True)),
+                **dict(zip(("sX", "sY", "sZ"), map(float, sigma), strict=True)), "role": self.role,
+                **dict(zip(("dX", "dY", "dZ"), map(_finite, self.off), strict=True)), "rays": self.rays,
+                "w": [_finite(v) for v in self.w]}
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """An adjusted block. interiors: by camera; interior_names and interior_covariance (f, f): of the freed parameters, camera
+    after camera; control_rms, check_rms (3,) m: None without such points; groups: sigma0 and redundancy of image observations,
+    control and priors apart; suspects: observations with |w| > 4, the worst first."""
+
+    orientations: tuple[Orientation, ...]
+    interiors: Mapping[str, Interior]
+    interior_names: tuple[tuple[str, str], ...]
+    interior_covariance: np.ndarray
+    points: tuple[AdjustedPoint, ...]
+    sigma0: float | None
+    dof: int
+    rms_px: float
+    cost: float
+    control_rms: np.ndarray | None
+    check_rms: np.ndarray | None
+    groups: Mapping[str, tuple[float | None, float]]
+    suspects: tuple[dict[str, Any], ...]
+    chi_square: ChiSquare | None
+    trace: Trace
+    warnings: tuple[str, ...]
+
+    @property
+    def interior_sigma(self) -> dict[str, dict[str, float]]:
+        """Standard errors, a priori, of the freed parameters by camera."""
+        out: dict[str, dict[str, float]] = {name: {} for name in self.interiors}
+        for (camera, parameter), s in zip(self.interior_names, np.sqrt(np.diag(self.interior_covariance)), strict=True):
+            out[camera][parameter] = float(s)
+        return out
+
+    def to_json(self) -> dict[str, Any]:
+        """The JSON of the commands adjust and calibrate."""
+        sigma = self.interior_sigma
+        return {
+            "orientations": [o.to_json() for o in self.orientations],
+            "interior": {name: {**{_key(p): float(getattr(camera, p)) for p in PARAMETERS},
+                                "sigma": {_key(p): s for p, s in sigma[name].items()}} for name,
+                         camera in self.interiors.items()},
+            "interior_correlation": {"parameters": [f"{c}.{_key(p)}" for c, p in self.interior_names],
+                                     "matrix": correlation(self.interior_covariance).tolist()},
+            "points": [p.to_json() for p in self.points],
+            "sigma0": self.sigma0, "dof": self.dof, "rms_px": self.rms_px, "rms_px_coordinate": self.rms_px / np.sqrt(2),
+            "iterations": self.trace.iterations, "cost": self.cost, "converged": self.trace.converged,
+            "stop": self.trace.last.stop,
+            "control_rms_m": None if self.control_rms is None else self.control_rms.tolist(),
+            "check_rms_m": None if self.check_rms is None else self.check_rms.tolist(),
+            "reliability": {"groups": {k: {"sigma0": s, "redundancy": r} for k, (s, r) in self.groups.items()},
+                            "suspects": list(self.suspects)},
+            "chi_square": None if self.chi_square is None else asdict(self.chi_square), "warnings": list(self.warnings),
+        }
+
+
+def described(data: Given, problem: Bundle, trace: Trace, stats: Statistics, said: tuple[str, ...]) -> Adjusted:
+    """The adjusted block of a trace and its statistics."""
+    net, x = problem.network, trace.last.x
+    v, interiors = problem.residuals(x), net.interiors_at(x)
+    sigma0 = float(np.sqrt(2 * trace.last.cost / problem.dof)) if problem.dof > 0 else None
+    points = _points(data, problem, x, stats)
+    control, check = ([p.off for p in points if p.role == role and np.isfinite(p.off).all()] for role in ("control", "check"))
+    warnings = [*said, *bad_fit(trace.last.cost, problem.dof)]
+    if not trace.converged:
+        warnings.insert(0, f"did not converge: stopped by '{trace.last.stop}' after {trace.iterations} iterations; do not use")
+    names = tuple((c, p) for c, free in zip(net.cameras, net.free, strict=True) for p in free)
+    warnings += _correlated(names, stats.interior)
+    suspects = _suspects(problem, v, stats, points)
+    if suspects:
+        shown = ", ".join(s["text"] for s in suspects[:5]) + (" ..." if len(suspects) > 5 else "")
+        warnings.append(f"{len(suspects)} suspect observation(s) with |w| > {SUSPECT:g}, the worst first: {shown}")
+    return Adjusted(
+        orientations=_orientations(data, problem, trace, stats, v, sigma0),
+        interiors=dict(zip(net.cameras, interiors, strict=True)),
+        interior_names=names, interior_covariance=stats.interior, points=points, sigma0=sigma0, dof=problem.dof,
+        rms_px=float(np.sqrt((v**2).sum() / len(v))), cost=trace.last.cost, control_rms=_rms(control), check_rms=_rms(check),
+        groups=_groups(problem, x, stats, v), suspects=tuple(suspects), chi_square=chi_square(trace.last.cost, problem.dof),
+        trace=trace,
+        warnings=tuple(warnings))
+
+
+def _orientations(data: Given, problem: Bundle, trace: Trace, stats: Statistics, v: np.ndarray,
+                  sigma0: float | None) -> tuple[Orientation, ...]:
+    net = problem.network
+    poses, first = (net.split(trace.rows[k].x)[0] for k in (-1, 0))
+    chi = chi_square(trace.last.cost, problem.dof)
+    out = []
+    order = np.argsort(net.image, kind="stable")
+    ends = np.searchsorted(net.image[order], np.arange(len(net.images) + 1))
+    for i, name in enumerate(net.images):
+        rows = order[ends[i]:ends[i + 1]]
+        local = Exterior.from_vector(poses[i])
+        covariance = local.angle_covariance(stats.poses[i])
+        sd = np.sqrt(np.diag(stats.poses[i]))
+        nothing = np.full((len(rows), 2), np.inf)
+        out.append(Orientation(
+            image=name, model="perspective", exterior=Exterior(local.m, data.frame.to_map(local.centre)), local=local,
+            initial=Exterior.from_vector(first[i]), covariance=covariance, sigma0=sigma0, dof=problem.dof,
+            points=tuple(net.points[p] for p in net.point[rows]), residuals=v[rows], redundancy=stats.redundancy[rows],
+            w=stats.w[rows],
+            detectable=stats.detectable[rows], effect=nothing, condition=float(np.linalg.cond(stats.poses[i] / np.outer(sd, sd))),
+            chi_square=chi, used=stats.factor[rows] >= 0.5, trace=trace, warnings=tuple(undetermined(covariance)),
+            rejected=tuple(net.points[p] for p in net.point[rows][stats.factor[rows] < 0.5])))
+    return tuple(out)
+
+
+def _points(data: Given, problem: Bundle, x: np.ndarray, stats: Statistics) -> tuple[AdjustedPoint, ...]:
+    net, block = problem.network, data.block
+    local = net.split(x)[2]
+    xyz, rays = data.frame.to_map(local), np.diff(net.start)
+    index = {name: j for j, name in enumerate(block.points.names)}
+    given = block.points.xyz[[index[n] for n in net.points]]
+    off = np.full_like(local, np.nan)
+    ok = np.isfinite(given).all(axis=1)
+    if ok.any():
+        off[ok] = local[ok] - data.frame.to_local(given[ok])
+    roles = [block.points.role[index[n]] for n in net.points]
+    w = np.full_like(local, np.nan)
+    given_sigma = np.sqrt(1 / np.where(net.weight[:net.live] > 0, net.weight[:net.live], np.nan))
+    free = given_sigma**2 - np.einsum("nii->ni", stats.points)  # variance of the correction
+    w[:net.live] = -off[:net.live] / np.sqrt(np.where(free > 1e-9 * given_sigma**2, free, np.nan))
+    covariance = np.zeros((len(local), 3, 3))
+    covariance[:net.live] = stats.points
+    return tuple(AdjustedPoint(n, roles[k], xyz[k], covariance[k], off[k], int(rays[k]), w[k]) for k, n in enumerate(net.points))
+
+
+def _groups(problem: Bundle, x: np.ndarray, stats: Statistics, v: np.ndarray) -> dict[str, tuple[float | None, float]]:
+    """sigma0 and redundancy of each kind of observation (the simplest estimate of variance components: Förstner 1979)."""
+    net = problem.network
+    sums = {"image": (float((stats.factor[:, None] * v**2 / net.sigma[:, None] ** 2).sum()), float(stats.redundancy.sum()))}
+    weight = net.weight[:net.live]
+    if (weight > 0).any():
+        r = 1 - weight * np.einsum("nii->ni", stats.points)
+        sums["control"] = (float(np.nansum(weight * (net.known - net.split(x)[2])[:net.live] ** 2)), float(r[weight > 0].sum()))
+    images, (misclosure, d) = net.prior_arrays[0], problem.prior_rows(x)
+    if len(images):
+        held = np.einsum("aij,ajk,aik->", d, stats.poses[images], d)
+        sums["prior"] = (float((misclosure**2).sum()), float(sum(p.count for p in net.priors if p) - held))
+    return {k: (float(np.sqrt(s / r)) if r > 0.5 else None, r) for k, (s, r) in sums.items()}
+
+
+def _suspects(problem: Bundle, v: np.ndarray, stats: Statistics, points: tuple[AdjustedPoint, ...]) -> list[dict[str, Any]]:
+    net = problem.network
+    with np.errstate(invalid="ignore"):
+        worst = np.nanmax(np.where(np.isfinite(stats.w), np.abs(stats.w), 0.0), axis=1, initial=0.0)
+    out = [{"kind": "image", "image": net.images[net.image[o]], "point": net.points[net.point[o]], "w": float(worst[o]),
+            "residual_px": v[o].tolist(),
+            "text": f"point '{net.points[net.point[o]]}' in image '{net.images[net.image[o]]}' (w = {worst[o]:.1f})"}
+           for o in np.flatnonzero(worst > SUSPECT)]
+    for p in points:
+        largest = float(np.abs(p.w[np.isfinite(p.w)]).max(initial=0.0))
+        if largest > SUSPECT:
+            out.append({"kind": "control", "point": p.name, "w": largest, "off_m": p.off.tolist(),
+                        "text": f"coordinates of control point '{p.name}' (w = {largest:.1f})"})
+    return sorted(out, key=lambda s: -s["w"])[:50]
+
+
+def _correlated(names: tuple[tuple[str, str], ...], covariance: np.ndarray) -> list[str]:
+    """Interior parameters that the network hardly separates (K1 K2 K3 are always so and are not told)."""
+    out = []
+    r = correlation(covariance) if len(names) else covariance
+    for i, (camera, a) in enumerate(names):
+        for j in range(i):
+            b = names[j][1]
+            if abs(r[i, j]) > 0.95 and not (a.startswith("k") and b.startswith("k")):
+                out.append(f"camera '{camera}': {b} and {a} are correlated by {r[i, j]:.3f}: the network hardly separates "
+                           "them")
+    return out
+
+
+def _rms(off: list[np.ndarray]) -> np.ndarray | None:
+    return np.sqrt(np.mean(np.square(off), axis=0)) if off else None
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _key(name: str) -> str:
+    return f"{name}_mm" if name in ("c", "xp", "yp") else name

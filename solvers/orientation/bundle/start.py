@@ -1,0 +1,193 @@
+"""Start values of a bundle without approximations: resection where control is, then from image to image over tie points;
+priors, or a relative orientation of the best pair, where there is no control to begin with.
+
+Reference: FORMULAS section 4; Nistér 2004 (five points, by OpenCV).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...cameras import project
+from ...errors import DegenerateGeometry
+from ...geometry import Exterior, from_opencv
+from ..initial import candidates
+from ..rays import Intersection
+from .datum import similarity
+from .given import Given
+
+MANY = 60
+"""Points used for a resection within the block; more add nothing to a start."""
+NEAR = 20.0
+"""Median residual [px], over the sigma of an observation, beyond which a start from tie points is not believed."""
+
+
+def start(data: Given) -> tuple[dict[int, Exterior], np.ndarray, list[str]]:
+    """Exterior orientations by image, points (n, 3) m (NaN where there are none), local, and what to know about them.
+
+    Raises DegenerateGeometry when nothing can begin.
+    """
+    how, known, said = data.request.start, data.approximate, []
+    images = [int(i) for i in np.unique(data.image)]
+    poses: dict[int, Exterior] = {}
+    if how in ("auto", "resection"):
+        least = 4 if data.request.datum != "free" else 6
+        poses = {i: e for i in images if (e := _resected(data, i, known, least)) is not None}
+        if poses:
+            _grow(data, poses, images, known)
+    if how == "prior" or (how == "auto" and len(poses) < len(images)):
+        at_once = not poses
+        for i in images:
+            if i not in poses and (e := _prior(data, i)) is not None:
+                poses[i] = e
+        if how == "prior" and len(poses) < len(images):
+            raise DegenerateGeometry(f"{data.block.name}: {len(images) - len(poses)} image(s) have no complete prior to start "
+                                     "from; take another start")
+        if at_once and poses:
+            _grow(data, poses, images, known)
+    if not poses and how in ("auto", "relative"):
+        poses = _relative(data, images)
+        _grow(data, poses, images, np.full_like(known, np.nan))
+        said = _placed(data, poses)
+    if not poses:
+        raise DegenerateGeometry(f"{data.block.name}: no image has enough control to begin (four points that are not on a line), "
+                                 "there is no prior, and no pair of images shares enough tie points")
+    xyz = points(data, poses)
+    missing = ~np.isfinite(xyz).all(axis=1)
+    xyz[missing] = known[missing]
+    _behind(data, poses, xyz)
+    return poses, xyz, said
+
+
+def points(data: Given, poses: dict[int, Exterior]) -> np.ndarray:
+    """(n, 3) points nearest to the rays of all oriented images, NaN where fewer than two see them or the rays are parallel."""
+    out = np.full((len(data.block.points), 3), np.nan)
+    order = sorted(poses)
+    ok = np.isin(data.image, order)
+    ok &= np.bincount(data.point[ok], minlength=len(out))[data.point] >= 2
+    if not ok.any():
+        return out
+    names, point = np.unique(data.point[ok], return_inverse=True)
+    number = {i: k for k, i in enumerate(order)}
+    problem = Intersection(tuple((data.camera(i), poses[i]) for i in order), np.array([number[int(i)] for i in data.image[ok]]),
+                           point,
+                           data.pixels[ok], data.sigma[ok], np.broadcast_to(np.eye(2), (int(ok.sum()), 2, 2)), len(names))
+    out[names] = problem.start().reshape(-1, 3)
+    return out
+
+
+def _resected(data: Given, image: int, xyz: np.ndarray, least: int) -> Exterior | None:
+    """Exterior orientation of an image from points xyz (n, 3) that are known, None where there are too few or it cannot be."""
+    rows = data.seen_in(image)
+    rows = rows[np.isfinite(xyz[data.point[rows]]).all(axis=1)]
+    if len(rows) < least:
+        return None
+    rows = rows[np.linspace(0, len(rows) - 1, min(MANY, len(rows))).astype(int)]
+    interior, at = data.camera(image), xyz[data.point[rows]]
+    mean = at.mean(axis=0)
+    s = np.linalg.svd(at - mean, compute_uv=False)
+    if s[1] <= 1e-4 * s[0]:
+        return None
+    found = candidates(at - mean, interior.ideal(data.pixels[rows]), interior.c)
+    return found[0].exterior.shifted(-mean) if found else None
+
+
+def _grow(data: Given, poses: dict[int, Exterior], images: list[int], known: np.ndarray) -> None:
+    """Add images to the oriented ones, those that see most points first, until none can be added."""
+    while True:
+        left = [i for i in images if i not in poses]
+        if not left:
+            return
+        xyz = points(data, poses)
+        xyz = np.where(np.isfinite(known), known, xyz)
+        usable = np.asarray(np.isfinite(xyz).all(axis=1))
+        counts = np.array([int(usable[data.point[data.seen_in(i)]].sum()) for i in left])
+        if counts.max() < 6:
+            return
+        before = len(poses)
+        for k in np.flatnonzero(counts >= max(6, counts.max() // 2)):
+            e = _resected(data, left[k], xyz, 6)
+            if e is not None and _believable(data, left[k], e, xyz):
+                poses[left[k]] = e
+        if len(poses) == before:
+            return
+
+
+def _believable(data: Given, image: int, e: Exterior, xyz: np.ndarray) -> bool:
+    rows = data.seen_in(image)
+    rows = rows[np.isfinite(xyz[data.point[rows]]).all(axis=1)]
+    v = np.linalg.norm(data.pixels[rows] - project(data.camera(image), e, xyz[data.point[rows]]), axis=1)
+    return bool(np.isfinite(v).mean() > 0.5 and np.nanmedian(v) < max(NEAR * data.sigma[rows].mean(),
+                                                                      0.02 * data.camera(image).width))
+
+
+def _prior(data: Given, image: int) -> Exterior | None:
+    prior = data.block.images[image].prior
+    if prior is None or prior.centre is None or prior.angles is None:
+        return None
+    return Exterior.from_angles(*prior.angles, centre=data.frame.to_local(prior.centre))
+
+
+def _relative(data: Given, images: list[int]) -> dict[int, Exterior]:
+    """Two images oriented to each other, base 1: of the pairs with most common points the one whose rays cross best."""
+    from scipy.sparse import csr_matrix
+
+    m, n = len(data.block.images), len(data.block.points)
+    seen = csr_matrix((np.ones(len(data.image), np.int32), (data.image, data.point)), shape=(m, n))
+    shared = np.triu((seen @ seen.T).toarray(), 1)
+    best: tuple[float, dict[int, Exterior]] = (0.0, {})
+    for flat in np.argsort(-shared, axis=None, kind="stable")[:12]:
+        a, b = np.unravel_index(flat, shared.shape)
+        if shared[a, b] < 8:
+            break
+        pair = _pair(data, int(a), int(b))
+        if pair is not None and pair[0] * np.sqrt(shared[a, b]) > best[0]:
+            best = pair[0] * np.sqrt(shared[a, b]), pair[1]
+    return best[1]
+
+
+def _pair(data: Given, a: int, b: int) -> tuple[float, dict[int, Exterior]] | None:
+    """Median angle between the rays [rad] and the two orientations, from the essential matrix."""
+    import cv2
+
+    rows_a, rows_b = data.seen_in(a), data.seen_in(b)
+    _, i, j = np.intersect1d(data.point[rows_a], data.point[rows_b], return_indices=True)
+    rays = [data.camera(k).ideal(data.pixels[rows]) / data.camera(k).c * [1, -1] for k, rows in ((a, rows_a[i]), (b, rows_b[j]))]
+    tolerance = 3 * float(data.sigma.mean()) * float(data.camera(a).pitch.max()) / data.camera(a).c
+    essential, _ = cv2.findEssentialMat(rays[0], rays[1], np.eye(3), cv2.RANSAC, 0.9999, tolerance)
+    if essential is None or essential.shape != (3, 3):
+        return None
+    good, r, t, _ = cv2.recoverPose(essential, rays[0], rays[1], np.eye(3))
+    if good < 0.5 * len(i):
+        return None
+    poses = {a: from_opencv(np.eye(3), np.zeros(3)), b: from_opencv(r, (-r.T @ t)[:, 0])}
+    one, two = (np.column_stack([ray, np.ones(len(ray))]) for ray in rays)
+    two = two @ r
+    cosine = (one * two).sum(axis=1) / np.linalg.norm(one, axis=1) / np.linalg.norm(two, axis=1)
+    return float(np.median(np.arccos(np.clip(cosine, -1, 1)))), poses
+
+
+def _placed(data: Given, poses: dict[int, Exterior]) -> list[str]:
+    """Bring a relative orientation to where known points, or the priors' centres, say it is; gives back what to know."""
+    xyz = points(data, poses)
+    ok = np.isfinite(xyz).all(axis=1) & np.isfinite(data.approximate).all(axis=1)
+    source, target = xyz[ok], data.approximate[ok]
+    if len(source) < 3:
+        pairs = [(e.centre, data.frame.to_local(c)) for i, e in poses.items()
+                 if (p := data.block.images[i].prior) is not None and (c := p.centre) is not None]
+        source, target = (np.array([p[k] for p in pairs]).reshape(-1, 3) for k in (0, 1))
+    if len(source) < 3 or np.linalg.svd(target - target.mean(axis=0), compute_uv=False)[1] < 1e-6:
+        return ["place, attitude and scale are arbitrary: fewer than three points or image positions are known"]
+    scale, r, t = similarity(source, target)
+    for i, e in poses.items():
+        poses[i] = Exterior(e.m @ r.T, scale * r @ e.centre + t)
+    return []
+
+
+def _behind(data: Given, poses: dict[int, Exterior], xyz: np.ndarray) -> None:
+    """Points that lie behind an image that sees them lose their start (NaN): such a bundle could not begin."""
+    for i, e in poses.items():
+        at = data.point[data.seen_in(i)]
+        with np.errstate(invalid="ignore"):
+            wrong = ~np.isfinite(project(data.camera(i), e, xyz[at])).all(axis=1)
+        xyz[at[wrong]] = np.nan
