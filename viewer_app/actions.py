@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
+from fnmatch import fnmatchcase
 from typing import Any
 
 import numpy as np
 
 from solvers.adjustment import Iteration, Trace
 from solvers.block import Observations
+from solvers.geometry import Surface
 from solvers.orientation import Advice, Orientation
 
 from .scene import ellipsoid_scale
-from .state import FORMS, HISTORY, PRIORS, Job, Mark, Photo, Settings, Solution, State, Terrain, View, Work
+from .state import FORMS, HISTORY, MODELS, PRIORS, Job, Mark, Photo, Settings, Solution, Spot, State, Terrain, View, Work
 
+SPOTS = 50
+"""Places kept at most."""
 STEPS = ("first", "previous", "next", "last")
 
 
@@ -40,6 +44,23 @@ class UsePoints:
     """Only the points of one group, or with "" all of them."""
 
     group: str
+
+
+@dataclass(frozen=True)
+class UseOnly:
+    """Only the control points of these names; * and ? stand for any letters, any letter."""
+
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class UseBox:
+    """Only the control points seen within a rectangle of the chosen photo, corners in pixels."""
+
+    left: float
+    top: float
+    right: float
+    bottom: float
 
 
 @dataclass(frozen=True)
@@ -113,6 +134,26 @@ class Aim:
 
 
 @dataclass(frozen=True)
+class Clicking:
+    """What a click on the photo does: measure or monoplot."""
+
+    what: str
+
+
+@dataclass(frozen=True)
+class Plot:
+    """Ask for the ground coordinates of a pixel of the chosen photo."""
+
+    col: float
+    row: float
+
+
+@dataclass(frozen=True)
+class ForgetSpots:
+    pass
+
+
+@dataclass(frozen=True)
 class Place:
     """The mark becomes the observation."""
 
@@ -156,9 +197,9 @@ class Say:
 
 @dataclass(frozen=True, eq=False)
 class Brought:
-    """A photo or the terrain has been read."""
+    """A photo, the terrain or the heights of the project's surface have been read."""
 
-    what: Terrain | Photo
+    what: Terrain | Photo | Surface
     image: str = ""
 
 
@@ -167,6 +208,8 @@ Action = (
     | ChoosePoint
     | SwitchPoint
     | UsePoints
+    | UseOnly
+    | UseBox
     | Set
     | Show
     | Step
@@ -179,6 +222,9 @@ Action = (
     | Undo
     | Redo
     | Aim
+    | Clicking
+    | Plot
+    | ForgetSpots
     | Place
     | Unmark
     | Rows
@@ -204,6 +250,8 @@ def update(state: State, action: Action) -> State:
             return _edit(replace(state, point=point), off=state.work.off ^ {point})
         case UsePoints(group):
             return _use(state, group)
+        case UseOnly() | UseBox():
+            return _only(state, action)
         case Set(name, value):
             settings = _settings(state.work.settings, name, value)
             return _edit(state, settings=settings) if settings != state.work.settings else state
@@ -231,6 +279,10 @@ def update(state: State, action: Action) -> State:
             return _travel(state, "past", "future")
         case Redo():
             return _travel(state, "future", "past")
+        case Clicking(what):
+            return replace(state, click=what, mark=None) if what in ("measure", "monoplot") else state
+        case Plot() | ForgetSpots():
+            return _plot(state, action)
         case Aim() | Place() | Unmark():
             return _measure(state, action)
         case Rows() | Solved() | Advised() | Failed():
@@ -239,8 +291,10 @@ def update(state: State, action: Action) -> State:
             return replace(state, message=message)
         case Brought(what, image):
             assets = state.assets
-            changed = {"terrain": what} if isinstance(what, Terrain) else {"photos": {**assets.photos, image: what}}
-            return replace(state, assets=replace(assets, **changed))
+            if isinstance(what, Photo):
+                return replace(state, assets=replace(assets, photos={**assets.photos, image: what}))
+            read = {"terrain": what} if isinstance(what, Terrain) else {"surface": what}
+            return replace(state, assets=replace(assets, **read))
 
 
 def _edit(state: State, **changes: Any) -> State:
@@ -294,6 +348,32 @@ def _use(state: State, group: str) -> State:
         return state
     off = frozenset(n for n, g in zip(points.names, points.group, strict=True) if g != group) if group else frozenset()
     return _edit(state, off=off) if off != state.work.off else state
+
+
+def _only(state: State, action: UseOnly | UseBox) -> State:
+    """Only the control points that are meant; where there are none, a sentence instead."""
+    block, points = state.block, state.block.points
+    control = {n for n, r in zip(points.names, points.role, strict=True) if r == "control"}
+    if isinstance(action, UseOnly):
+        meant = {n for n in control if any(fnmatchcase(n, pattern) for pattern in action.names)}
+        why = f"No control point is called {', '.join(action.names) or 'nothing'}; write names such as G01, G1*."
+    else:
+        of, rows = block.observations, block.seen_in(state.image, ("control",)) if block.images else np.zeros(0, int)
+        low, high = np.sort([[action.left, action.top], [action.right, action.bottom]], axis=0)
+        within = rows[((of.pixel[rows] >= low) & (of.pixel[rows] <= high)).all(axis=1)]
+        meant, why = {points.names[j] for j in of.point[within]}, "No control point was measured within this rectangle."
+    if not meant:
+        return replace(state, message=why)
+    off = frozenset(control - meant)
+    return _edit(state, off=off) if off != state.work.off else state
+
+
+def _plot(state: State, action: Plot | ForgetSpots) -> State:
+    if isinstance(action, ForgetSpots):
+        return replace(state, spots=())
+    if not state.block.images or not bool(state.block.camera_of(state.image).inside(np.array([action.col, action.row]))):
+        return state
+    return replace(state, spots=(*state.spots, Spot(state.image, float(action.col), float(action.row)))[-SPOTS:], message="")
 
 
 def _settings(settings: Settings, name: str, value: Any) -> Settings:
@@ -366,6 +446,6 @@ def _arrive(state: State, action: Rows | Solved | Advised | Failed) -> State:
             solution = Solution(job.revision, error=why)
     solutions = {**state.work.solutions, (job.image, job.model): solution}
     state = replace(state, work=replace(state.work, solutions=solutions))
-    if solution.orientation is not None and state.view.ellipsoid == 0:
+    if solution.orientation is not None and job.model in MODELS and state.view.ellipsoid == 0:
         state = replace(state, view=replace(state.view, ellipsoid=ellipsoid_scale(state, solution.orientation)))
     return _follow(state)

@@ -17,12 +17,13 @@ import viser
 from solvers import PhotogrammetryError, Unsupported
 
 from . import export
-from .actions import Action, Aim, ChooseImage, GoTo, Say, SwitchPoint, Tick, update
+from .actions import Action, Aim, ChooseImage, GoTo, Plot, Say, SwitchPoint, Tick, UseBox, update
 from .bridge import LOCAL_HOSTS, Wire, open_server
 from .home import home
 from .jobs import Jobs
 from .loading import bring, crop, open_project
 from .paint_viser import Painter
+from .panels.compare import ComparePanel
 from .panels.orientation import OrientationPanel
 from .panels.photo import PhotoPanel, magnified, nudged
 from .panels.project import ProjectPanel, ScenePanel
@@ -57,7 +58,7 @@ class App:
         self._painter = Painter(self.server)
         self._panels: list[Any] = []
         self._build()
-        self._closed = threading.Event()
+        self._closed, self._first = threading.Event(), threading.Event()
         self._paint()
         self._loop = threading.Thread(target=self._run, name="collinea-loop", daemon=True)
         self._reader = threading.Thread(target=self._read, name="collinea-reader", daemon=True)
@@ -78,6 +79,7 @@ class App:
 
     def close(self) -> None:
         self._closed.set()
+        self._first.set()
         self._actions.put(None)
         self._loop.join(timeout=10)
         self._reader.join(timeout=10)
@@ -126,7 +128,10 @@ class App:
     def _paint(self) -> None:
         """Ask for what is missing, then show the state: scene and panels in one block."""
         state = self._state
-        self._jobs.want(wanted(state))
+        jobs = wanted(state)
+        self._jobs.want(jobs)
+        if not any(job.image == state.image and job.model in MODELS for job in jobs):
+            self._first.set()
         with self.server.atomic():
             self._painter.paint(scene(state))
             for panel in self._panels:
@@ -135,6 +140,8 @@ class App:
         self.server.flush()
 
     def _read(self) -> None:
+        """Terrain and photos, once the chosen image is solved: reading must not hold up what is looked for first."""
+        self._first.wait()
         for action in bring(self._state):
             if self._closed.is_set():
                 return
@@ -162,6 +169,8 @@ class App:
         tabs = gui.add_tab_group()
         with tabs.add_tab("Orientation"):
             self._panels.append(OrientationPanel(gui, self.emit, self._wire, self._state))
+        with tabs.add_tab("Compare"):
+            self._panels.append(ComparePanel(gui, self.emit))
         with tabs.add_tab("Project"):
             self._panels.append(ProjectPanel(gui, self.emit, self._wire, self._ways()))
         gui.main_panel.dock_right()
@@ -203,11 +212,16 @@ class App:
         elif kind == "nudge" and isinstance(value, str):
             if (at := nudged(state, state.assets.photos.get(state.image), value)) is not None:
                 self.emit(Aim(*at))
-        elif kind == "photo" and isinstance(value, tuple) and state.block.images:
+        elif kind in ("photo", "photo-box") and isinstance(value, tuple) and state.block.images:
             camera = state.block.camera_of(state.image)
-            self.emit(Aim(value[0] * camera.width - 0.5, value[1] * camera.height - 0.5))
-        elif kind == "magnifier" and isinstance(value, tuple) and state.mark is not None and state.image in state.assets.photos:
-            self.emit(Aim(*magnified(state, state.assets.photos[state.image], *value)))
+            at = [v * size - 0.5 for v, size in zip(value, (camera.width, camera.height) * 2, strict=False)]
+            if kind == "photo-box" and len(at) == 4:
+                self.emit(UseBox(*at))
+            elif kind == "photo" and len(at) == 2:
+                self.emit(Plot(*at) if state.click == "monoplot" else Aim(*at))
+        elif kind == "magnifier" and isinstance(value, tuple) and len(value) == 2 and state.mark is not None:
+            if (photo := state.assets.photos.get(state.image)) is not None:
+                self.emit(Aim(*magnified(state, photo, *value)))
 
     async def _clicked(self, event: viser.SceneClickEvent) -> None:
         camera = event.client.camera

@@ -146,10 +146,14 @@ class Wire:
         )
 
     def surface(self, kind: str) -> str:
-        """HTML attributes of an element that says where it was clicked: value [u, v], 0..1 from its top left corner."""
+        """HTML attributes of an element that says where it was clicked: value [u, v], 0..1 from its top left corner; and what
+        rectangle was dragged: value [u, v, u, v], kind with "-box" appended."""
         if not self.works:
             return ""
-        return f'data-kind="{html.escape(kind)}" onclick="collinea.point(event)" style="cursor:crosshair"'
+        return (
+            f'data-kind="{html.escape(kind)}" onpointerdown="collinea.down(event)" onclick="collinea.point(event)" '
+            'style="cursor:crosshair"'
+        )
 
 
 def parse(text: str) -> tuple[str, Any] | None:
@@ -167,10 +171,10 @@ def parse(text: str) -> tuple[str, Any] | None:
         return kind, value
     numbers = (
         isinstance(value, list)
-        and len(value) == 2
+        and len(value) in (2, 4)
         and all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in value)
     )
-    return (kind, (float(value[0]), float(value[1]))) if numbers and all(0 <= v <= 1 for v in value) else None
+    return (kind, tuple(map(float, value))) if numbers and all(0 <= v <= 1 for v in value) else None
 
 
 SCRIPT = """
@@ -180,11 +184,42 @@ window.collinea = (() => {
     {type: 'GuiUpdateMessage', uuid: UUID, updates: {value: JSON.stringify([kind, value, Date.now() + '-' + count++])}});
   const press = ev => { ev.stopPropagation(); const e = ev.currentTarget; send(e.dataset.kind, e.dataset.value); };
   const key = ev => { if (ev.key === 'Enter' || ev.key === ' ') { ev.preventDefault(); press(ev); } };
+  const clamp = t => Math.min(1, Math.max(0, t));
+  const place = (ev, r) => [clamp((ev.clientX - r.left) / r.width), clamp((ev.clientY - r.top) / r.height)];
+  let dragged = false;
   const point = ev => {
-    const e = ev.currentTarget, r = e.getBoundingClientRect();
-    const clamp = t => Math.min(1, Math.max(0, t));
-    send(e.dataset.kind, [clamp((ev.clientX - r.left) / r.width), clamp((ev.clientY - r.top) / r.height)]);
+    const e = ev.currentTarget;
+    if (!dragged) send(e.dataset.kind, place(ev, e.getBoundingClientRect()));
   };
-  return {press, key, point};
+  const down = ev => {
+    if (ev.button !== 0) return;
+    ev.preventDefault();
+    dragged = false;
+    const kind = ev.currentTarget.dataset.kind, r = ev.currentTarget.getBoundingClientRect(), from = place(ev, r);
+    let box = null;
+    const move = e => {
+      const to = place(e, r), far = Math.hypot(e.clientX - ev.clientX, e.clientY - ev.clientY) > 5;
+      if (!box && !far) return;
+      dragged = true;
+      if (!box) {
+        box = document.body.appendChild(document.createElement('div'));
+        box.style.cssText = 'position:fixed;z-index:10000;pointer-events:none;border:1.5px solid #fff;outline:1.5px dashed #000';
+      }
+      const at = (i, size, start) => [start + size * Math.min(from[i], to[i]), size * Math.abs(from[i] - to[i])];
+      [[box.style.left, box.style.width], [box.style.top, box.style.height]] =
+        [at(0, r.width, r.left), at(1, r.height, r.top)].map(p => p.map(v => v + 'px'));
+    };
+    const up = e => {
+      removeEventListener('pointermove', move, true);
+      removeEventListener('pointerup', up, true);
+      removeEventListener('pointercancel', up, true);
+      if (box) box.remove();
+      if (dragged && e.type === 'pointerup') send(kind + '-box', [...from, ...place(e, r)]);
+    };
+    addEventListener('pointermove', move, true);
+    addEventListener('pointerup', up, true);
+    addEventListener('pointercancel', up, true);
+  };
+  return {press, key, point, down};
 })();
 """

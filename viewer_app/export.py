@@ -6,15 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from .values import Ellipsoid, Frustum, Mesh, Plane, PointCloud, Scene, Segments, Value, linear
-
-
-def frustum_corners(value: Frustum) -> np.ndarray:
-    """The four corners (4, 3) of a frustum's image plane: top left, top right, bottom right, bottom left of the photo."""
-    y = value.depth * np.tan(value.fov / 2)
-    x = y * value.aspect
-    camera = np.array([[-x, y, -value.depth], [x, y, -value.depth], [x, -y, -value.depth], [-x, -y, -value.depth]])
-    return camera @ value.exterior.m + value.exterior.centre
+from .values import Ellipsoid, Frustum, Mesh, Plane, PointCloud, Scene, Segments, Value, frustum_corners, linear
 
 
 def glb(scene: Scene) -> bytes:

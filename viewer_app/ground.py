@@ -134,7 +134,7 @@ def points(state: State) -> Scene:
     if state.view.labels:
         for j in np.flatnonzero(known & (role != "tie")):
             name = block.points.names[j]
-            found[f"/points/names/{name.replace('/', '_')}"] = Label(name, xyz[j] + [size, size, 0], 0.8)
+            found[f"/points/names/{name.replace('/', '_')}"] = Label(name, xyz[j] + [size, size, 0], 0.7)
     return found
 
 

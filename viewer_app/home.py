@@ -22,5 +22,5 @@ def home(state: State) -> tuple[np.ndarray, np.ndarray, float]:
     middle, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)
     way = np.array([0.5, -1.0, 0.5])
     # the panels cover the lower left corner: what is seen moves up and right where one looks at a place left below the middle
-    aim = middle + radius * np.array([-0.24, -0.1, -0.18])
-    return aim + 2.75 * radius * way / np.linalg.norm(way), aim, 40 * radius
+    aim = middle + radius * np.array([-0.24, -0.1, -0.1])
+    return aim + 2.95 * radius * way / np.linalg.norm(way), aim, 40 * radius

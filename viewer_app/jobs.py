@@ -9,11 +9,12 @@ from collections.abc import Callable
 from typing import Any
 
 from solvers import PhotogrammetryError
-from solvers.adjustment import Trace, iterate
+from solvers.adjustment import Trace
 from solvers.orientation import Request, advise, conclude, prepare
+from solvers.orientation.single import Start, rows
 
 from .actions import Action, Advised, Failed, Rows, Solved
-from .state import ADVICE, Job
+from .state import ADVICE, ONE_PASS, PRINTED, WITH_PRIOR, Job
 
 EVERY = 0.05
 """Seconds between two looks at a running adjustment."""
@@ -28,6 +29,7 @@ class Jobs:
         self._finished: set[tuple[str, str, int]] = set()
         self._change = threading.Condition()
         self._closed = False
+        self._last: Start | None = None  # its candidates serve the image's other models
         self._thread = threading.Thread(target=self._work, name="collinea-jobs", daemon=True)
         self._thread.start()
 
@@ -76,26 +78,29 @@ class Jobs:
     def _run(self, job: Job) -> Action | None:
         if job.model == ADVICE:
             return Advised(job, advise(job.block, job.image, job.points))
-        s = job.settings
-        model: Any = job.model
-        request = Request(
-            job.image,
-            model=model,
-            points=job.points,
-            robust=s.robust,
-            prior=s.prior,
-            one_pass=s.one_pass,
-            form=s.form,
-            recentre=s.recentre,
-        )
-        start = prepare(job.block, request)
-        rows, shown = [], time.monotonic()
-        for row in iterate(start.problem, start.x0, start.options):
+        start = self._last = prepare(job.block, request(job), self._last)
+        seen, shown = [], time.monotonic()
+        for row in rows(start):
             if not self._still(job):
                 return None
-            rows.append(row)
+            seen.append(row)
             if time.monotonic() - shown > EVERY:
                 shown = time.monotonic()
-                self._emit(Rows(job, tuple(rows)))
-        orientation = conclude(start, Trace(tuple(rows), start.manifest))
+                self._emit(Rows(job, tuple(seen)))
+        orientation = conclude(start, Trace(tuple(seen), start.manifest))
         return Solved(job, orientation.trace, orientation)
+
+
+def request(job: Job) -> Request:
+    """What a job asks of the solver: by the settings, or, where the model takes the image's prior, by the model itself."""
+    s, image, points = job.settings, job.image, job.points
+    if job.model == ONE_PASS:
+        return Request(image, "orthogonal", points, robust=s.robust, one_pass=True)
+    if job.model == PRINTED:
+        return Request(image, "orthogonal", points, robust=s.robust, one_pass=True, form="printed", recentre=False)
+    if job.model == WITH_PRIOR:
+        return Request(image, "perspective", points, robust=s.robust, prior="weighted")
+    model: Any = job.model
+    return Request(
+        image, model, points, robust=s.robust, prior=s.prior, one_pass=s.one_pass, form=s.form, recentre=s.recentre
+    )

@@ -11,7 +11,7 @@ import numpy as np
 
 from solvers import Exterior, PhotogrammetryError
 from solvers.geometry import LocalFrame
-from solvers.io import read_project, read_truth
+from solvers.io import read_project, read_surface, read_truth
 
 from .actions import Brought, Say
 from .ground import nice
@@ -60,6 +60,7 @@ def bring(state: State) -> Iterator[Brought | Say]:
     if file:
         try:
             yield Brought(terrain(folder / str(file), state.assets.frame, state.block.points.xyz))
+            yield Brought(read_surface(folder / str(file), _bounds(state.block.points.xyz)))
         except PhotogrammetryError as error:
             yield Say(str(error))
     order = sorted(state.block.images, key=lambda image: image.name != state.image)
@@ -69,6 +70,16 @@ def bring(state: State) -> Iterator[Brought | Say]:
                 yield Brought(photo(folder, state.block, image.name), image.name)
             except PhotogrammetryError as error:
                 yield Say(str(error))
+
+
+def _bounds(xyz: np.ndarray) -> tuple[float, float, float, float] | None:
+    """West, south, east, north of the known points with their own extent around."""
+    known = xyz[np.isfinite(xyz).all(axis=1), :2]
+    if len(known) < 2:
+        return None
+    low, high = known.min(axis=0), known.max(axis=0)
+    (west, south), (east, north) = low - (high - low).max(), high + (high - low).max()
+    return float(west), float(south), float(east), float(north)
 
 
 def photo(folder: Path, block: Any, image: str) -> Photo:

@@ -196,11 +196,11 @@ def _add_mesh(scene: viser.SceneApi, path: str, value: Mesh) -> list[Any]:
 
 
 def _add_label(scene: viser.SceneApi, path: str, value: Label) -> list[Any]:
-    return [scene.add_label(path, value.text, position=value.position, font_screen_scale=value.size, anchor="bottom-left")]
+    return [scene.add_label(path, value.text, position=value.position, font_screen_scale=value.size, anchor=value.anchor)]
 
 
 def _change_label(nodes: list[Any], old: Label, new: Label) -> bool:
-    if old.size != new.size:
+    if (old.size, old.anchor) != (new.size, new.anchor):
         return False
     node = nodes[0]
     if old.text != new.text:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -12,11 +13,24 @@ from solvers.orientation import Orientation
 
 from . import theme
 from .ground import ground, nice, points, site
-from .state import MODELS, State
-from .values import Ellipsoid, Frustum, Label, Plane, Scene, Segments
+from .spots import spots
+from .state import MODELS, ONE_PASS, PRINTED, WITH_PRIOR, Assets, State, Work
+from .values import Ellipsoid, Frustum, Label, Plane, Scene, Segments, dashed, frustum_corners
 
 CHI_95 = 2.7954834829151074
 """Square root of the 95 % quantile of chi-square with 3 degrees of freedom: the factor of a 95 % error ellipsoid."""
+
+
+DASHED = {
+    ONE_PASS: (theme.ORTHOGONAL, 0.25, 1.35),
+    PRINTED: (theme.ORTHOGONAL, 0.12, 1.5),
+    WITH_PRIOR: (theme.PERSPECTIVE, 0.25, 0.9),
+}
+"""Solutions with the prior, drawn dashed in their model's colour: length of a dash and size, both in frustum depths."""
+
+LINE = 0.45
+"""Height of a line of words over a frustum, in frustum depths."""
+COLOURS = {**theme.MODELS, **{model: colour for model, (colour, *_) in DASHED.items()}}
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +65,7 @@ class Sight:
 
 def scene(state: State) -> Scene:
     """All that is to be seen."""
-    found: Scene = {**ground(state, vector_scale(state)), **points(state)}
+    found: Scene = {**ground(state, vector_scale(state)), **points(state), **spots(state)}
     depth = frustum_depth(state)
     for image in state.block.images:
         found |= _image(state, image.name, depth)
@@ -60,25 +74,30 @@ def scene(state: State) -> Scene:
 
 def sight(state: State, model: str, image: str | None = None) -> Sight | None:
     """What an image (the chosen one) sees at the row shown by a model; None where there is no solution."""
-    name = image or state.image
-    exterior = state.exterior(model, image)
-    if exterior is None:
+    name, solution = image or state.image, state.solution(model, image)
+    if solution is None or not solution.rows:
         return None
-    block = state.block
+    row = min(state.row if name == state.image else len(solution.rows), len(solution.rows) - 1)
+    return _sight(state.work, state.assets, model, name, row)
+
+
+@lru_cache(maxsize=16)
+def _sight(work: Work, assets: Assets, model: str, name: str, row: int) -> Sight:
+    block, solution = work.block, work.solutions[name, model]
+    exterior = Exterior.from_vector(solution.rows[row].x)
     rows = block.seen_in(name, ("control", "check"))
     index = block.observations.point[rows]
-    xyz = state.assets.frame.to_local(block.points.xyz[index])
+    xyz = assets.frame.to_local(block.points.xyz[index])
     known = np.isfinite(xyz).all(axis=1)
     rows, index, xyz = rows[known], index[known], xyz[known]
     interior = block.camera_of(name)
-    solution = state.solution(model, image)
-    if solution and solution.orientation and solution.orientation.interior:
+    if solution.orientation and solution.orientation.interior:
         interior = solution.orientation.interior
     names = tuple(block.points.names[j] for j in index)
-    on = set(state.control())
-    rejected = set(solution.orientation.rejected) if solution and solution.orientation else set()
+    rejected = set(solution.orientation.rejected) if solution.orientation else set()
     projected = interior.measured(ideal_photo(interior.c, exterior, xyz))
-    used = np.array([n in on and n not in rejected for n in names], bool)
+    control = [block.points.role[j] == "control" for j in index]
+    used = np.array([c and n not in work.off and n not in rejected for n, c in zip(names, control, strict=True)], bool)
     return Sight(exterior, interior, names, xyz, block.observations.pixel[rows], projected, used)
 
 
@@ -133,10 +152,7 @@ def _image(state: State, name: str, depth: float) -> Scene:
     path = "/images/" + name.replace("/", "_")
     interior = state.block.camera_of(name)
     px, py = interior.pitch
-    lens = {
-        "fov": 2 * float(np.arctan(interior.height * py / 2 / interior.c)),
-        "aspect": interior.width * px / (interior.height * py),
-    }
+    lens = 2 * float(np.arctan(interior.height * py / 2 / interior.c)), interior.width * px / (interior.height * py)
     photo = state.assets.photos.get(name)
     thumbnail = photo.thumbnail if photo and view.photos else None
     for model in MODELS:
@@ -147,31 +163,30 @@ def _image(state: State, name: str, depth: float) -> Scene:
         # The orthogonal frustum is a little larger, so that neither hides the other where they coincide.
         found[f"{path}/{model}/camera"] = Frustum(
             exterior,
+            *lens,
             depth=depth * (1 if first else 1.2),
             colour=theme.MODELS[model],
             thickness=3.0 if chosen else 1.5,
             image=thumbnail if first else None,
-            **lens,
         )
         found |= _ellipsoid(state, name, model, exterior, f"{path}/{model}/ellipsoid")
         if chosen:
             found |= _chosen(state, model, f"{path}/{model}")
+    if chosen:
+        found |= _with_prior(state, path, depth, lens)
     start = _start(state, name)
     if view.initial and chosen and start is not None:
-        found[f"{path}/initial/camera"] = Frustum(start, depth=depth * 0.8, colour=theme.INITIAL, thickness=1.5, **lens)
+        found[f"{path}/initial/camera"] = Frustum(start, *lens, depth * 0.8, theme.INITIAL, 1.5)
     given = prior(state, name)
     if view.georeferenced and chosen and given is not None:
-        found[f"{path}/georeferenced/camera"] = Frustum(
-            given, depth=depth * 0.7, colour=theme.GEOREFERENCED, thickness=1.5, **lens
-        )
+        found[f"{path}/georeferenced/camera"] = Frustum(given, *lens, depth * 0.7, theme.GEOREFERENCED, 1.5)
     truth = state.assets.truth.get(name)
     if view.truth and truth is not None:
-        found[f"{path}/truth/camera"] = Frustum(
-            truth, depth=depth * 0.6, colour=theme.foreground(view.dark), thickness=1.0, **lens
-        )
+        found[f"{path}/truth/camera"] = Frustum(truth, *lens, depth * 0.6, theme.foreground(view.dark), 1.0)
     at = _any(state, name)
     if view.labels and at is not None:
-        found[f"{path}/label"] = Label(name, at.centre + np.array([0, 0, 0.35 * depth]), 1.15 if chosen else 0.9)
+        up = 0.35 + (LINE if chosen and not view.compared else 0)
+        found[f"{path}/label"] = Label(name, at.centre + np.array([0, 0, up * depth]), 1.15 if chosen else 0.9, "bottom-center")
     return found | (_difference(state, path, depth) if chosen else {})
 
 
@@ -235,7 +250,7 @@ def _bundle(state: State, seen: Sight, path: str) -> Scene:
     }
 
 
-def _ellipsoid(state: State, name: str, model: str, exterior: Exterior, path: str) -> Scene:
+def _ellipsoid(state: State, name: str, model: str, exterior: Exterior, path: str, factor: float | None = None) -> Scene:
     """The 95 % error ellipsoid of a centre, a priori; only where the adjustment has ended, for there it holds."""
     solution = state.solution(model, name)
     ended = solution is not None and (name != state.image or state.row >= len(solution.rows) - 1)
@@ -243,25 +258,58 @@ def _ellipsoid(state: State, name: str, model: str, exterior: Exterior, path: st
         return {}
     values, axes = np.linalg.eigh(solution.orientation.covariance[:3, :3])
     axes = axes * np.sign(np.linalg.det(axes))
-    radii = CHI_95 * state.view.ellipsoid * np.sqrt(np.clip(values, 0, None))
-    return {path: Ellipsoid(exterior.centre, axes, np.maximum(radii, 1e-6), theme.MODELS[model])}
+    radii = CHI_95 * (state.view.ellipsoid if factor is None else factor) * np.sqrt(np.clip(values, 0, None))
+    return {path: Ellipsoid(exterior.centre, axes, np.maximum(radii, 1e-6), COLOURS[model])}
+
+
+def _with_prior(state: State, path: str, depth: float, lens: tuple[float, float]) -> Scene:
+    """What the chosen image's prior allows as well, dashed: the papers' printed form, and the others when they are compared."""
+    found, view = Scene(), state.view
+    for model, (colour, dash, size) in DASHED.items():
+        exterior = state.exterior(model)
+        if exterior is None or not (view.printed if model == PRINTED else view.compared):
+            continue
+        at = f"{path}/{model.replace(' ', '_')}"
+        corners = frustum_corners(Frustum(exterior, *lens, depth * size, colour))
+        edges = np.concatenate([_lines(exterior.centre, corners), np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)])
+        found[f"{at}/camera"] = Segments(dashed(edges, dash * depth), colour, 2.0)
+        solution = state.solution(model)
+        if view.compared and solution and solution.orientation:
+            factor = min(view.ellipsoid, ellipsoid_scale(state, solution.orientation))
+            found |= _ellipsoid(state, state.image, model, exterior, f"{at}/ellipsoid", factor)
+    return found
 
 
 def _difference(state: State, path: str, depth: float) -> Scene:
-    """Where both solutions nearly coincide, an arrow from the perspective to the orthogonal centre, drawn exaggerated."""
-    one, two, view = state.exterior("perspective"), state.exterior("orthogonal"), state.view
-    if one is None or two is None or not (view.perspective and view.orthogonal):
-        return {}
-    step = two.centre - one.centre
-    length = float(np.linalg.norm(step))
-    if not 1e-9 < length < 0.5 * depth:
-        return {}
-    factor = nice(1.5 * depth / length)
-    end = one.centre + factor * step
-    return {
-        f"{path}/difference": Segments(np.stack([one.centre, end])[None], theme.foreground(view.dark), 3.0),
-        f"{path}/difference_label": Label(f"orthogonal − perspective {length:.3f} m, drawn × {factor:g}", end),
-    }
+    """Arrows from the perspective centre to the others, exaggerated where they nearly coincide; all of them when compared."""
+    one, view, found = state.exterior("perspective"), state.view, Scene()
+    if one is None or not view.perspective:
+        return found
+    up = 0.35 + (LINE if view.compared else 0)
+    shown = (["orthogonal"] if view.orthogonal else []) + (list(DASHED) if view.compared else [])
+    for model in shown:
+        two = state.exterior(model)
+        length = 0.0 if two is None else float(np.linalg.norm(two.centre - one.centre))
+        if two is None or not 1e-9 < length or (length >= 0.5 * depth and not view.compared):
+            continue
+        factor = max(nice(1.5 * depth / length), 1.0)
+        end = one.centre + factor * (two.centre - one.centre)
+        key = f"{path}/difference" + ("" if model == "orthogonal" else "/" + model.replace(" ", "_"))
+        ink = theme.foreground(view.dark) if model == "orthogonal" else COLOURS[model]
+        found[key] = Segments(np.stack([one.centre, end])[None], ink, 3.0)
+        if view.labels:
+            drawn = "" if model == "orthogonal" else _ellipsoid_words(state, model)
+            words = f"{model} − perspective {length:.3f} m, drawn × {factor:g}{drawn}"
+            found[f"{key}_label"] = Label(words, one.centre + np.array([0, 0, up * depth]), 0.85, "bottom-center")
+            up += LINE
+    return found
+
+
+def _ellipsoid_words(state: State, model: str) -> str:
+    """The exaggeration of a compared solution's ellipsoid where it is smaller than that of the others."""
+    solution = state.solution(model)
+    factor = ellipsoid_scale(state, solution.orientation) if solution and solution.orientation else state.view.ellipsoid
+    return f", ellipsoid × {factor:g}" if state.view.ellipsoids and factor < state.view.ellipsoid else ""
 
 
 def _lines(centre: np.ndarray, ends: np.ndarray) -> np.ndarray:

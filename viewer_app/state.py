@@ -11,12 +11,16 @@ import numpy as np
 
 from solvers import Block, Exterior
 from solvers.adjustment import Iteration
-from solvers.geometry import LocalFrame
+from solvers.geometry import LocalFrame, Surface
 from solvers.orientation import Advice, Orientation
 
 MODELS = ("perspective", "orthogonal")
+ONE_PASS, PRINTED, WITH_PRIOR = "one pass", "as printed", "with prior"
+"""What the chosen image's prior allows as well: one orthogonal pass through it, the same in the papers' own printed form
+(neither re-centred nor by depth), and the perspective adjustment that observes it."""
+COMPARED = (*MODELS, ONE_PASS, PRINTED, WITH_PRIOR)
 ADVICE = "advice"
-"""The third job of an image: which of the models to believe."""
+"""The job that says which of the models to believe."""
 PRIORS = ("none", "initial", "weighted")
 FORMS = ("depth", "printed")
 HISTORY = 200
@@ -54,6 +58,7 @@ class Assets:
     photos: Mapping[str, Photo] = field(default_factory=dict)
     terrain: Terrain | None = None
     level: float | None = None  # height of a flat ground, local frame
+    surface: Surface | None = None  # of the project, in map coordinates
     truth: Mapping[str, Exterior] = field(default_factory=dict)
 
 
@@ -112,6 +117,8 @@ class View:
     initial: bool = True
     georeferenced: bool = True
     truth: bool = True
+    printed: bool = True  # one pass through the prior as the papers print it
+    compared: bool = False  # the other solutions with the prior, and every difference
     rays: bool = True
     bundle: bool = True  # parallel bundle and average plane of the orthogonal solution
     residuals: bool = True
@@ -119,6 +126,15 @@ class View:
     vectors: float = 200.0  # exaggeration of residual vectors on the ground
     photo_vectors: float = 50.0  # the same on the photo
     ellipsoid: float = 0.0  # exaggeration of the error ellipsoids, 0 until the first solution tells what suits
+
+
+@dataclass(frozen=True)
+class Spot:
+    """A place asked for its ground coordinates: pixel of the full photo."""
+
+    image: str
+    col: float
+    row: float
 
 
 @dataclass(frozen=True)
@@ -144,6 +160,8 @@ class State:
     playing: bool = False
     speed: float = 2.0  # rows per second
     mark: Mark | None = None
+    click: Literal["measure", "monoplot"] = "measure"  # what a click on the photo does
+    spots: tuple[Spot, ...] = ()
     held: int | None = None  # revision at which solving was cancelled
     message: str = ""
     next_revision: int = 1
@@ -161,7 +179,7 @@ class State:
     @property
     def last_row(self) -> int:
         """Last position of the slider: that of the longer of the chosen image's traces."""
-        return max((len(s.rows) - 1 for m in MODELS if (s := self.solution(m)) and s.rows), default=0)
+        return max((len(s.rows) - 1 for m in COMPARED if (s := self.solution(m)) and s.rows), default=0)
 
     def exterior(self, model: str, image: str | None = None) -> Exterior | None:
         """Local exterior orientation at the row shown, None where there is none."""
@@ -200,13 +218,21 @@ def wanted(state: State) -> tuple[Job, ...]:
     images = sorted(measured, key=lambda name: name != state.image)
     todo = [(image, model) for image in images for model in MODELS]
     if state.image in measured:
-        todo.insert(len(MODELS), (state.image, ADVICE))
+        todo[len(MODELS) : len(MODELS)] = [(state.image, model) for model in (*prior_models(work.block, state.image), ADVICE)]
     on = frozenset(state.control())
     return tuple(
         Job(image, model, work.revision, work.block, _seen(work.block, image, on), work.settings)
         for image, model in todo
         if not ((s := work.solutions.get((image, model))) and s.revision == work.revision and s.done)
     )
+
+
+def prior_models(block: Block, image: str) -> tuple[str, ...]:
+    """Which of the solutions that need it an image's prior allows."""
+    prior = block.images[block.image_index(image)].prior
+    if prior is None or prior.centre is None or prior.angles is None:
+        return ()
+    return (ONE_PASS, PRINTED) if prior.sigma_m is None and prior.sigma_rad is None else (ONE_PASS, PRINTED, WITH_PRIOR)
 
 
 def _seen(block: Block, image: str, on: frozenset[str]) -> tuple[str, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -79,6 +80,25 @@ class Label:
     text: str
     position: np.ndarray
     size: float = 1.0
+    anchor: Literal["bottom-left", "bottom-center"] = "bottom-left"
+
+
+def frustum_corners(value: Frustum) -> np.ndarray:
+    """The four corners (4, 3) of a frustum's image plane: top left, top right, bottom right, bottom left of the photo."""
+    y = value.depth * np.tan(value.fov / 2)
+    x = y * value.aspect
+    camera = np.array([[-x, y, -value.depth], [x, y, -value.depth], [x, -y, -value.depth], [-x, -y, -value.depth]])
+    return camera @ value.exterior.m + value.exterior.centre
+
+
+def dashed(lines: np.ndarray, length: float) -> np.ndarray:
+    """Segments (k, 2, 3) that draw lines (n, 2, 3) as dashes, dash and gap each about `length` m."""
+    pieces = []
+    for start, end in lines:
+        n = 2 * max(round(float(np.linalg.norm(end - start)) / length / 2), 1) + 1
+        at = start + np.arange(n + 1)[:, None] / n * (end - start)
+        pieces.append(np.stack([at[:-1:2], at[1::2]], axis=1))
+    return np.concatenate(pieces)
 
 
 def linear(colours: np.ndarray) -> np.ndarray:

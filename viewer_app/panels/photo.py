@@ -1,4 +1,4 @@
-"""The Photo tab: observed and projected points with exaggerated residuals, and a magnifier to measure a point."""
+"""The Photo tab: observed and projected points with exaggerated residuals; measure a point, plot one, frame a subset."""
 
 from __future__ import annotations
 
@@ -8,14 +8,16 @@ from functools import lru_cache
 import numpy as np
 import viser
 
-from ..actions import Place, Show, Unmark
+from ..actions import Clicking, ForgetSpots, Place, Show, Unmark
 from ..bridge import Wire
 from ..ground import nice
 from ..scene import Sight, sight
+from ..spots import plotted
 from ..state import MODELS, Photo, State
 from ..theme import CHECK, CONTROL, INITIAL, RESIDUAL
-from .widgets import BOX, MUTED, Emit, Html, bind, css, esc, jpeg, prop, put, swatch
+from .widgets import BOX, MUTED, Emit, Html, bind, css, decimals, esc, jpeg, prop, put, swatch, table
 
+CLICKS = {"measures the point": "measure", "gives ground coordinates": "monoplot"}
 HALF = 24
 """Half side of the magnifier, pixels of the file."""
 Crop = Callable[[Photo, tuple[int, int], float, float, int], tuple[np.ndarray, float, float]]
@@ -26,6 +28,13 @@ class PhotoPanel:
 
     def __init__(self, gui: viser.GuiApi, emit: Emit, wire: Wire, crop: Crop) -> None:
         self._wire, self._crop = wire, crop
+        self._click = gui.add_dropdown(
+            "A click",
+            tuple(CLICKS),
+            hint="Measure the chosen point, or give ground coordinates on the DEM (without one, on a plane at the mean height of "
+            "the GCPs). A dragged rectangle always uses only the control points within it.",
+        )
+        bind(self._click, emit, lambda value: Clicking(CLICKS.get(value, "")))
         self._picture = Html(gui)  # the picture itself, sent once per photo
         self._overlay = Html(gui)
         self._vectors = gui.add_slider(
@@ -39,6 +48,9 @@ class PhotoPanel:
         self._place.on_click(lambda _: emit(Place()))
         self._unmark = gui.add_button("Drop mark", hint="Forget the mark.", color="gray")
         self._unmark.on_click(lambda _: emit(Unmark()))
+        self._spots = Html(gui)
+        self._forget = gui.add_button("Forget places", hint="Forget the places plotted on the ground.", color="gray")
+        self._forget.on_click(lambda _: emit(ForgetSpots()))
 
     def draw(self, state: State) -> None:
         photo = state.assets.photos.get(state.image)
@@ -49,6 +61,9 @@ class PhotoPanel:
         self._magnifier.set("" if photo is None or state.mark is None else magnifier_html(state, photo, self._wire, self._crop))
         for button in (self._place, self._unmark):
             prop(button, "visible", state.mark is not None)
+        put(self._click, next(words for words, what in CLICKS.items() if what == state.click))
+        self._spots.set(spots_html(state))
+        prop(self._forget, "visible", bool(state.spots))
 
 
 @lru_cache(maxsize=4)
@@ -71,18 +86,36 @@ def photo_html(state: State, wire: Wire) -> str:
             f'<path d="M{x - r} {y}h{2 * r}M{x} {y - r}v{2 * r}" stroke="#fff" stroke-width="{2.4 * unit}"/>'
             f'<path d="M{x - r} {y}h{2 * r}M{x} {y - r}v{2 * r}" stroke="#000" stroke-width="{unit}"/>'
         )
+    shapes += _places(state, unit)
     background = "background:var(--collinea-photo) 0 0/100% 100%" if has else "background:rgba(128,128,128,.2)"
     surface = wire.surface("photo").replace(
         'style="cursor:crosshair"', f'style="cursor:crosshair;display:block;width:100%;{background}"'
     )
     target = f"click to mark <b>{esc(state.point)}</b>" if state.point else "choose a point, then click the photo to mark it"
+    if state.click == "monoplot":
+        target = "click for ground coordinates"
     missing = "" if has else f"<div {MUTED}>No photo: measurements only.</div>"
     return (
         f"<div {BOX}><div>{esc(state.image)} <span {MUTED}>{camera.width} × {camera.height} px ·</span> {target}</div>{missing}"
         f'<svg role="img" aria-label="Photo {esc(state.image)}" viewBox="0 0 {camera.width} {camera.height}" '
         f"{surface}>{shapes}</svg>"
-        f"<div {MUTED}>circle: observed · {swatch(RESIDUAL)}residual × {scale:g}</div></div>"
+        f"<div {MUTED}>circle: observed · {swatch(RESIDUAL)}residual × {scale:g} · "
+        f"drag a rectangle to use only the GCPs in it</div></div>"
     )
+
+
+def _places(state: State, unit: float) -> str:
+    """Crosses with their numbers where ground coordinates were asked for."""
+    shapes, r = [], 6 * unit
+    for number, spot in enumerate(state.spots, 1):
+        if spot.image == state.image:
+            x, y = spot.col + 0.5, spot.row + 0.5
+            line, text = f'd="M{x - r} {y}h{2 * r}M{x} {y - r}v{2 * r}"', f'x="{x + r}" y="{y - r / 2}" font-size="{13 * unit}"'
+            shapes.append(
+                f'<path {line} stroke="#fff" stroke-width="{3 * unit}"/><path {line} stroke="#000" stroke-width="{1.2 * unit}"/>'
+                f'<text {text} stroke="#fff" stroke-width="{3 * unit}" paint-order="stroke" fill="#000">{number}</text>'
+            )
+    return "".join(shapes)
 
 
 def _observations(state: State, unit: float) -> str:
@@ -158,3 +191,26 @@ def nudged(state: State, photo: Photo | None, way: str) -> tuple[float, float] |
         return None
     factor = 1.0 if photo is None else state.block.camera_of(state.image).width / photo.size[0]
     return state.mark.col + steps[way][0] * factor, state.mark.row + steps[way][1] * factor
+
+
+def spots_html(state: State) -> str:
+    """Every place asked for, with its ground coordinates, 95 % ellipse and what to mind."""
+    if not state.spots:
+        return ""
+    rows, said, on = [], [], ""
+    for number, (spot, place) in enumerate(plotted(state), 1):
+        pixel = f'<span title="{esc(spot.image)}">{spot.col:.0f}, {spot.row:.0f}</span>'
+        if isinstance(place, str):
+            rows.append(("", (f"{number}", pixel, "–", "–", "–", "–")))
+            said.append(f"{number}: {place}")
+            continue
+        e = place.ellipse
+        places = decimals(e.semi_major_m, 3)
+        rows.append(("", (f"{number}", pixel, *(f"{v:.{places}f}" for v in place.ground),
+                          f"{e.semi_major_m:.2g} × {e.semi_minor_m:.2g}, {e.azimuth_deg:.0f}°")))
+        said += [f"{number}: {w}" for w in place.warnings]
+        on = f"<div {MUTED}>on {esc(place.surface)}; 95 % ellipse: semi-axes, azimuth of the longer one</div>"
+    return (
+        f"<div {BOX}>{table(('', 'pixel', 'X m', 'Y m', 'Z m', '95 % m'), rows, 'Ground coordinates', 160)}{on}"
+        f"{''.join(f'<div {MUTED}>{esc(s)}</div>' for s in said)}</div>"
+    )

@@ -32,6 +32,16 @@ SHOWN = (
     ("ellipsoids", "Ellipsoids", "95 % error ellipsoids of the centres, a priori, exaggerated."),
     ("initial", "Initial value", "Where the adjustment of the chosen image began."),
     ("georeferenced", "Georeferenced", "The chosen image's onboard GPS/IMU orientation, where the project has one."),
+    (
+        "printed",
+        "One pass, printed",
+        "One orthogonal pass through the chosen image's prior in the papers' own printed form, dashed.",
+    ),
+    (
+        "compared",
+        "Compared",
+        "The chosen image's other solutions with the prior, dashed, their ellipsoids and differences (tab Compare).",
+    ),
     ("truth", "Truth", "The true orientations of a simulated project."),
 )
 Way = Callable[[viser.ClientHandle | None], None]
@@ -67,7 +77,7 @@ class ScenePanel:
         )
         bind(self._vectors, emit, lambda value: Show("vectors", float(value)))
         bind(self._ellipsoid, emit, lambda value: Show("ellipsoid", float(value)))
-        self._shown = {name: gui.add_checkbox(label, True, hint=hint) for name, label, hint in SHOWN}
+        self._shown = {name: gui.add_checkbox(label, name != "compared", hint=hint) for name, label, hint in SHOWN}
         for name, handle in self._shown.items():
             bind(handle, emit, lambda value, name=name: Show(name, bool(value)))
 

@@ -65,9 +65,10 @@ BOX = 'style="padding:2px 12px 8px;font-size:12px;line-height:1.45"'
 MUTED = 'style="opacity:.65"'
 
 
-def table(head: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]], caption: str, height: int | None = None) -> str:
+def table(head: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]], caption: str, height: int | None = None,
+          size: int = 11) -> str:
     """An HTML table; each row is (attributes of its <tr>, cells), the first cell is the row's heading. Cells are HTML already."""
-    cell = "padding:1px 4px;white-space:nowrap;text-align:"
+    cell = "padding:1px 3px;white-space:nowrap;text-align:"
     first = "".join(
         f'<th scope="col" style="{cell}{"left" if i == 0 else "right"};font-weight:600;position:sticky;top:0;'
         f'background:var(--mantine-color-body)">{h}</th>'
@@ -81,7 +82,7 @@ def table(head: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]], captio
     )
     limit = f"max-height:{height}px;overflow:auto;" if height else "overflow-x:auto;"
     return (
-        f'<div style="{limit}"><table aria-label="{esc(caption)}" style="border-collapse:collapse;width:100%;font-size:11px;'
+        f'<div style="{limit}"><table aria-label="{esc(caption)}" style="border-collapse:collapse;width:100%;font-size:{size}px;'
         f'font-variant-numeric:tabular-nums"><thead><tr>{first}</tr></thead><tbody>{body}</tbody></table></div>'
     )
 
