@@ -1,6 +1,7 @@
 """Everything that is read from and written to a disk: project folders, tables, photos, traces."""
 
 from . import assemble, crs
+from .arrays import ArrayFolder
 from .demo import demo_assets, demo_copy
 from .exif import Exif, read_exif
 from .files import jsonable, write_json
@@ -8,16 +9,27 @@ from .gcp import Ask, ControlList, read_control
 from .geotiff import write_heights
 from .heights import read_heights
 from .metadata import photo_time, read_onboard
-from .photos import Thumbnail, check_photos, photo_path, photo_size, photo_window, surface_path, thumbnail, write_image
+from .photos import (
+    Thumbnail,
+    check_photos,
+    photo_path,
+    photo_size,
+    photo_state,
+    photo_window,
+    read_photo,
+    surface_path,
+    thumbnail,
+    write_image,
+)
 from .priors import write_priors
-from .project import read_project, read_truth, write_observations, write_project
+from .project import read_project, read_truth, write_observation_table, write_observations, write_project, write_tables
 from .runs import latest_run, load_trace, new_run, save_trace, trace_name
 from .surface import find_geoid, read_surface
 from .telemetry import read_flight_log, read_mrk, read_positions
 
-__all__ = ["Ask", "ControlList", "Exif", "Thumbnail", "assemble", "check_photos", "crs", "demo_assets", "demo_copy",
-           "find_geoid", "jsonable", "latest_run", "load_trace", "new_run", "photo_path", "photo_size", "photo_time",
-           "photo_window", "read_control", "read_exif", "read_flight_log", "read_heights", "read_mrk", "read_onboard",
-           "read_positions", "read_project", "read_surface", "read_truth", "save_trace", "surface_path", "thumbnail",
-           "trace_name", "write_heights", "write_image", "write_json", "write_observations",
-           "write_priors", "write_project"]
+__all__ = ["ArrayFolder", "Ask", "ControlList", "Exif", "Thumbnail", "assemble", "check_photos", "crs", "demo_assets",
+           "demo_copy", "find_geoid", "jsonable", "latest_run", "load_trace", "new_run", "photo_path", "photo_size",
+           "photo_state", "photo_time", "photo_window", "read_control", "read_exif", "read_flight_log", "read_heights",
+           "read_mrk", "read_onboard", "read_photo", "read_positions", "read_project", "read_surface", "read_truth",
+           "save_trace", "surface_path", "thumbnail", "trace_name", "write_heights", "write_image", "write_json",
+           "write_observation_table", "write_observations", "write_priors", "write_project", "write_tables"]

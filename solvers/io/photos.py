@@ -89,6 +89,25 @@ def photo_window(path: Path | str, col: int, row: int, width: int, height: int) 
         return out
 
 
+def read_photo(path: Path, grey: bool = True) -> np.ndarray:
+    """A whole photo at full resolution: uint8 (h, w) grey or (h, w, 3) colour values. Raises Unsupported."""
+    with opened(path) as photo:
+        if photo.mode in ("1", "L", "P", "RGB", "RGBA", "YCbCr", "CMYK"):
+            try:
+                return np.asarray(photo.convert("L" if grey else "RGB"))
+            except OSError as error:
+                raise Unsupported(f"{path}: the photo is damaged ({error}); copy it again") from None
+        width, height = photo.size
+    pixels = photo_window(path, 0, 0, width, height)
+    return np.round(pixels.mean(2)).astype(np.uint8) if grey else pixels
+
+
+def photo_state(path: Path) -> str:
+    """A word that changes when the photo's file does."""
+    state = path.stat()
+    return f"{state.st_size}-{state.st_mtime_ns}"
+
+
 @contextmanager
 def opened(path: Path) -> Iterator[Any]:
     """A photo opened with Pillow, whatever its size, metadata only until asked. Raises Unsupported."""

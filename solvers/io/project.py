@@ -63,6 +63,19 @@ def write_observations(block: Block, folder: Path | str) -> None:
     write_text(folder / "observations.csv", _observations_table(block, origin))
 
 
+def write_tables(block: Block, folder: Path | str) -> None:
+    """Replace points.csv and observations.csv of a project by those of a block; project.toml stays as it is."""
+    write_text(Path(folder) / "points.csv", _points_table(block.points))
+    write_observations(block, folder)
+
+
+def write_observation_table(path: Path, images: Sequence[str], points: Sequence[str], pixel: np.ndarray,
+                            sigma: np.ndarray) -> None:
+    """Write observations as a table of their own: names, pixel (n, 2) from the centre of the top-left pixel, sigma (n,) px."""
+    rows = [[i, p, *map(_cell, at), _cell(s)] for i, p, at, s in zip(images, points, pixel, sigma, strict=True)]
+    write_text(path, _table(OBSERVATION_COLUMNS, rows))
+
+
 def read_truth(folder: Path | str) -> dict[str, Any] | None:
     """What truth.json of a simulated project says, None where there is none. Raises BadProject."""
     path = Path(folder) / "truth.json"

@@ -6,10 +6,10 @@ from .ncc import match_ncc
 from .patches import Photo, prepare
 from .problem import LsmProblem, lsm_problem
 from .result import LsmResult, NccResult, Status
-from .search import tie_points
+from .search import predict, tie_points
 from .targets import TargetOptions, Targets, find_targets
 from .ties import Store, TieOptions, TiePair, TiePhoto, Ties
 
 __all__ = ["LsmOptions", "LsmProblem", "LsmResult", "NccResult", "Photo", "Status", "Store", "TargetOptions", "Targets",
            "TieOptions", "TiePair", "TiePhoto", "Ties", "find_targets", "lsm_problem", "match_lsm", "match_ncc", "number_targets",
-           "prepare", "tie_points"]
+           "predict", "prepare", "tie_points"]

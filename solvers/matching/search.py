@@ -296,6 +296,19 @@ def _refine(item: Reference, read: Reader, window: int, options: LsmOptions) -> 
     return refine(item, read, window, options)
 
 
+def predict(first: np.ndarray, second: np.ndarray, at: np.ndarray, options: TieOptions | None = None,
+            ) -> tuple[np.ndarray, np.ndarray] | None:
+    """Where a point (2,) px of one photo should be in another, by their features, and how offsets around it map there (2, 2);
+    None where the photos share too little."""
+    o = options or TieOptions()
+    a, b = (find_features(image, o.feature, o.count, o.side, o.equalise) for image in (first, second))
+    common = _compare((a, b, None, None), o)
+    if not len(common.features):
+        return None
+    place, _ = _predicted(common.homography, at[None], a.pixel[common.features[:, 0]], b.pixel[common.features[:, 1]])
+    return place[0], derivative(common.homography, at[None])[0]
+
+
 # -- tracks to references and back --------------------------------------------------------------------------------------------
 
 

@@ -17,7 +17,9 @@ def photo(path: Path) -> np.ndarray:
         pytest.skip(f"{path} is absent: set COLLINEA_DATA to the folder of real data")
     import cv2
 
-    return cv2.imread(str(path), cv2.IMREAD_COLOR)[..., ::-1]
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    assert image is not None
+    return image[..., ::-1]
 
 
 @pytest.mark.parametrize("index", [1, 10, 17])

@@ -1,0 +1,51 @@
+"""Tie points of real flights, their photos made smaller; one warped with known truth."""
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.matching import SCALE, digital, photograph, random_warp, scene
+from solvers.matching import TieOptions, TiePhoto, tie_points
+
+
+def read_small(name: str, folder: Path, reduction: int) -> np.ndarray:
+    import cv2
+
+    grey = cv2.imread(str(folder / name), cv2.IMREAD_GRAYSCALE)
+    assert grey is not None
+    return cv2.resize(grey, None, fx=1 / reduction, fy=1 / reduction, interpolation=cv2.INTER_AREA)
+
+
+@pytest.mark.parametrize(("flight", "photos", "reduction"), [("uav_brighton8", 8, 3), ("uav_strip5", 5, 1)])
+def test_a_flight_hangs_together(data: Path, flight: str, photos: int, reduction: int) -> None:
+    folder = data / flight
+    names = sorted(f.name for f in folder.glob("*.JPG"))
+    read = partial(read_small, folder=folder, reduction=reduction)
+    ties = tie_points([TiePhoto(n) for n in names], read, TieOptions(count=3000))
+    assert len(names) == photos and ties.groups == (tuple(names),) and not ties.failed
+    assert (ties.rays >= 3).mean() >= 0.5
+    assert len(ties.points) > 300 and ties.per_photo.min() > 60
+
+
+def test_least_squares_matching_makes_features_exact(data: Path) -> None:
+    rng = np.random.default_rng(7)
+    fine = scene(data / "uav_brighton8/DJI_0026.JPG")
+    shape = (fine.shape[0] // SCALE, fine.shape[1] // SCALE)
+    warp = random_warp(rng, shape, 3, 0.03, 0.02)  # second photo -> first
+    identity = np.array([[1.0, 0, 0], [0, 1, 0]])
+    views = {"first": digital(photograph(fine, identity, shape), rng, 0, 0, 2),
+             "second": digital(photograph(fine, warp, shape), rng, 0.1, 10, 2)}
+
+    def rms(window: int) -> float:
+        ties = tie_points([TiePhoto(n) for n in views], views.__getitem__, TieOptions(window=window))
+        of = ties.observations
+        first, second = of.pixel[of.image == 0], of.pixel[of.image == 1]
+        error = second @ warp[:, :2].T + warp[:, 2] - first
+        assert len(error) > 300
+        near = np.linalg.norm(error, axis=1) < 1
+        assert near.mean() > 0.99
+        return float(np.sqrt((error[near] ** 2).mean()))
+
+    assert rms(21) < 0.03 and rms(0) > 3 * rms(21)
