@@ -7,8 +7,9 @@ import numpy as np
 from numba import njit
 
 _OPTIONS = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-compiled = njit(no_cpython_wrapper=True, **_OPTIONS)
-entry = njit(nogil=True, **_OPTIONS)
+_INNER = {**_OPTIONS, "no_cpython_wrapper": True}
+compiled = njit(**_INNER)
+entry = njit(**_OPTIONS)
 
 
 @compiled

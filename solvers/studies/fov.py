@@ -225,7 +225,7 @@ def _place(r: dict[str, Any]) -> str:
 
 
 def _page(rows: list[dict[str, Any]], necker: list[dict[str, Any]], runs: int) -> str:
-    return "\n\n".join([f"""# The field of view: 0.5 to 40 degrees
+    return page.flow("\n\n".join([f"""# The field of view: 0.5 to 40 degrees
 
 Written by `collinea study fov --runs {runs}`; every number below comes from that run.
 
@@ -237,7 +237,7 @@ ground and 0.1 to 0.5 px in the photo. Every case was drawn
 simulation
 (the covariances of the methods section of the [clusters page](clusters.md)), markers the simulation; where repetition
 runs away there is no prediction of the iterated model. `fov.csv` has every case.""",
-                        _errors(rows), _gain(rows, runs), _leak(rows), _reversal(necker, runs)]) + "\n"
+                        _errors(rows), _gain(rows, runs), _leak(rows), _reversal(necker, runs)]))
 
 
 def _errors(rows: list[dict[str, Any]]) -> str:
@@ -262,10 +262,11 @@ def _errors(rows: list[dict[str, Any]]) -> str:
             f"{DETERMINED_DEG:g} degrees linear theory ends ({min(high):.2f} to {max(high):.2f}): the control does not "
             "determine the tilt, by either model, and only a registration of the cluster itself should be claimed."]
     wide = {r["method"]: r for r in _pick(rows, where="centre", n=4, sigma_px=0.3, relief_m=5.0, fov_deg=40.0)}
-    out.append(f"At the wide end the perspective model is better for another reason: at 40 degrees and 5 m of relief it has "
-               f"{wide['P']['tilt_deg']:.3f} degrees, the iterated orthogonal model "
-               f"{wide['Oitrc']['tilt_deg']:.2g} and one pass with a 1 degree, 5 m prior "
-               f"{wide['O1rc_1_5']['tilt_deg']:.2g}.")
+    out.append(f"\"None\" marks cases in which no run came to rest. At 40 degrees and 5 m of relief the perspective model has "
+               f""
+               f"{page.number(wide['P']['tilt_deg'])} degrees and one pass with a 1 degree, 5 m prior "
+               f"{page.number(wide['O1rc_1_5']['tilt_deg'])}; "
+               f"of the iterated orthogonal runs {wide['Oitrc']['converged']:.0%} came to rest.")
     return "\n\n".join(out)
 
 
@@ -298,11 +299,11 @@ against {p["tilt_deg"]:.3g}
 {rows[predicted[1]]["method"]}). Over all geometries, determined or not, the largest simulated ratio is {anywhere:.2f}
 ({there["method"]}; {_place(there)}).
 
-One pass owes such a gain to its approximation, which P may not use. Given the same prior as weighted observations (B), the
-perspective
-model is beaten at most {bayes:.2f} times ({against["method"]}; {_place(against)}). Iterated, without any prior in the end,
-the orthogonal model
-gains at most {free:.2f} over P ({without["method"]}; {_place(without)}). A perspective adjustment that has no approximation
+One pass owes such a gain to its approximation, which P may not use. Against the perspective
+model with the same prior as weighted observations (B) the largest ratio is {bayes:.2f} ({against["method"]};
+{_place(against)}). Iterated, without any prior in the end,
+the orthogonal model reaches at most {free:.2f} against P ({without["method"]}; {_place(without)}). A perspective adjustment
+that has no approximation
 and must choose between two
 reversal solutions by their residuals (Pbest) loses up to {choice:.2f} times against an orthogonal iteration started at the
 right one ({_place(chosen)}):

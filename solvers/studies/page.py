@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -41,11 +42,17 @@ def save(fig: Any, folder: Path, name: str) -> list[Path]:
     return paths
 
 
+def flow(text: str) -> str:
+    """Markdown with every paragraph and list item on one line; tables and headings stay."""
+    blocks = (b if b.startswith(("|", "#")) else re.sub(r"\n(?!- ) *", " ", b) for b in text.split("\n\n"))
+    return "\n\n".join(b.strip() for b in blocks) + "\n"
+
+
 def number(value: float, digits: int = 3) -> str:
-    """A number with at most so many significant digits, never in powers of ten."""
+    """A number with at most so many significant digits, never in powers of ten; "none" for NaN."""
     from numpy import format_float_positional
 
-    return format_float_positional(float(f"{value:.{digits}g}"), trim="-")
+    return "none" if value != value else format_float_positional(float(f"{value:.{digits}g}"), trim="-")
 
 
 def probability(p: float) -> str:

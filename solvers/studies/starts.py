@@ -133,9 +133,9 @@ def cell(n: int, fov: float, relief: float, view: str, runs: int, rng: np.random
         points, xy, truth = scene(n, fov, relief, view, rng)
         ends, raw, micro = {}, {}, {}
         for name, start in use.items():
-            begin = time.perf_counter()
+            begin = time.process_time()
             raw[name] = start(points, xy, CAMERA.c)
-            micro[name] = (time.perf_counter() - begin) * 1e6
+            micro[name] = (time.process_time() - begin) * 1e6
             ends[name] = _end(points, xy, raw[name])
         best, cost = min([*ends.values(), _end(points, xy, [truth])], key=lambda e: e[1])
         for name in use:
@@ -279,7 +279,7 @@ def _page(rows: list[dict[str, Any]], unknown: list[dict[str, Any]], runs: int) 
              "right" if u["partial_right"] else f"wrong, c = {u['partial_c_mm']:.4g}"] for u in unknown]
     narrow = unknown[0]
     gap = max(abs(u["orthogonal_mm"] / u["perspective_mm"] - 1) for u in unknown if u["fov_deg"] <= 20)
-    return f"""# Initial values: every start, its success and its cost
+    return page.flow(f"""# Initial values: every start, its success and its cost
 
 Written by `collinea study starts --runs {runs}`; every number below comes from that run.
 
@@ -297,7 +297,8 @@ has several) ends in the best solution found from any start or from the truth.
              *(f"n = {n}" for n in COUNTS),
              *TILTS_DEG, "error before refinement [°]", "µs per call", "cost, three points = 1"], overall)}
 
-The error is the median distance of the attitude from the truth before refinement. Costs are those of this package's Python on
+The error is the median distance of the attitude from the truth before refinement. Costs are processor time of
+this package's Python on
 the machine of the run; only their ratio travels.
 "Scaled orthography" and "both planar" work in the photo re-centred to the mean ray, with two POSIT updates; "four points,
 parallel" has none; "three points" tries
@@ -330,4 +331,4 @@ Iterations count until c is right to a millionth of a millimetre. The total deri
 to {max((u["partial_iterations"] or 0) for u in unknown)}. Up to 20 degrees the two models' RMSE differ by at most {gap:.0%}.
 A cluster of {narrow["fov_deg"]:g} degrees with
 {narrow["relief_m"]:g} m of relief determines c to ±{narrow["predicted_mm"]:.1f} mm only: keep c fixed there.
-"""
+""")
