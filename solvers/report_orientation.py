@@ -24,12 +24,13 @@ def georeference_text(done: Direct) -> str:
         table.add_row(g.image, *(f"{v:.2f}" for v in g.exterior.centre), *(f"{v:.3f}" for v in angles))
     sigma = np.array([np.concatenate([g.sigma[:3], np.degrees(g.sigma[3:])]) for g in done.orientations])
     table.add_row("sigma" if len(sigma) == 1 else "sigma (median)", *(f"{s:.2g}" for s in np.median(sigma, axis=0)))
-    lines = _shared("heights", [(g.image, g.heights) for g in done.orientations])
+    total = len(done.orientations)
+    lines = _shared("heights", [(g.image, g.heights) for g in done.orientations], total)
     told = [(g.image, n) for g in done.orientations for n in g.notes if not n.startswith(("height:", "yaw corrected"))]
-    lines += _shared("", told) + _wrapped(done.notes) + _notes("warning", list(done.warnings))
-    lines += _shared("warning", [(g.image, w) for g in done.orientations for w in g.warnings])
+    lines += _shared("", told, total) + _wrapped(done.notes) + _notes("warning", list(done.warnings))
+    lines += _shared("warning", [(g.image, w) for g in done.orientations for w in g.warnings], total)
     return "\n".join([f"exterior orientation from onboard data, {done.crs}", _rendered(table), *lines,
-                      *_shared("left out", list(done.failed)), *_run(done.run)])
+                      *_shared("left out", list(done.failed), 0), *_run(done.run)])
 
 
 def intersection_text(done: IntersectedProject) -> str:
@@ -72,15 +73,14 @@ def _rms(role: str, points: Sequence[ObjectPoint], digits: int) -> list[str]:
     return [f"rms at {len(off)} {role} points: {values} m in X, Y, Z"]
 
 
-def _shared(word: str, said: Sequence[tuple[str, str]]) -> list[str]:
-    """Each sentence once, with the images it is about, unless it is about all of them."""
+def _shared(word: str, said: Sequence[tuple[str, str]], total: int) -> list[str]:
+    """Each sentence once, with the images it is about, unless it is about all of them (total)."""
     by: dict[str, list[str]] = defaultdict(list)
     for image, text in said:
         by[text].append(image)
-    everyone = len({image for image, _ in said})
     lines = []
     for text, images in by.items():
-        who = "" if len(images) == everyone and everyone > 1 else f"image {images[0]}: " if len(images) == 1 else \
+        who = "" if len(images) == total else f"image {images[0]}: " if len(images) == 1 else \
             f"{len(images)} images ({images[0]} ...): " if len(images) > 3 else f"images {', '.join(images)}: "
         lines.append(f"{who}{text}")
     return _notes(word, lines) if word else _wrapped(lines)

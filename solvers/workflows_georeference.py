@@ -122,6 +122,8 @@ def georeference_flight(target: Path | str, flown: Flown) -> Direct:
     Writes footprints and priors where asked; in a project it leaves a run with result.json. Raises PhotogrammetryError.
     """
     needs_camera = bool(flown.footprints) or flown.check_headings or flown.correct_headings
+    if flown.footprints and not Path(flown.footprints).resolve().parent.is_dir():
+        raise BadProject(f"{flown.footprints}: there is no such folder for the footprints; make it first or correct the path")
     site = _site(Path(target), flown, needs_camera)
     onboard, failed, said = _onboard(site, flown)
     site = _on_map(site, onboard)
@@ -192,8 +194,11 @@ def _site(target: Path, flown: Flown, needs_camera: bool) -> Site:
         names = tuple(o.image for o in read_positions(target))
         return Site(_block(target.stem, names, flown), {}, None, target)
     files, _ = assemble.sort_files([target])
-    names, notes = assemble.image_names(files), ()
-    block = _block(target.resolve().name, names, flown)
+    named, notes = dict(zip(assemble.image_names(files), files, strict=True)), ()
+    block = _block(target.resolve().name, tuple(named), flown)
+    names = tuple(block.images[block.image_index(n)].name for n in flown.images) or tuple(named)
+    files = tuple(named[n] for n in names)
+    block = replace(block, images=tuple(Image(n, "") for n in names))
     if needs_camera:
         cameras, of, notes = assemble.cameras_of(files, [read_exif(f) for f in files], flown.pixel_um, flown.c_mm)
         block = replace(block, cameras=cameras, images=tuple(Image(n, c) for n, c in zip(names, of, strict=True)))

@@ -136,7 +136,7 @@ def _geo_txt(path: Path, crs: str, lines: list[tuple[int, list[str]]]) -> list[O
 
 def _lines(path: Path) -> list[tuple[int, list[str]]]:
     """Number and text of every line that is neither empty nor a comment."""
-    text = decode_utf8(path, read_bytes(path, "it holds one line per photo"))
+    text = decode_utf8(path, read_bytes(path, "correct the path"))
     return [(n, [line]) for n, line in enumerate(text.splitlines(), 1) if line.strip() and not line.lstrip().startswith("#")]
 
 

@@ -311,11 +311,16 @@ def test_corner_covariance() -> None:
     chi_square_band(np.array(chi), 12)
 
 
+def _two(values: np.ndarray) -> tuple[float, float]:
+    return float(values[0]), float(values[1])
+
+
 def test_grades_of_control() -> None:
     """The printed formula is worst; correlated corners repeat the onboard orientation exactly; surveyed control is best."""
     rng = np.random.default_rng(0)
     flight = Flight(CAMERA,
-                    tuple(Exterior(rotation(*np.radians(rng.normal(0, 3, 2)), np.pi * s), np.array([25.0 * k, 45.0 * s, 100]))
+                    tuple(Exterior(rotation(*_two(np.radians(rng.normal(0, 3, 2))), np.pi * s),
+                                   np.array([25.0 * k, 45.0 * s, 100]))
                                   for s in range(2) for k in range(2)),
                     rng.uniform([-20, -20, -2], [45, 65, 2], (24, 3)), rng.uniform([-10, -10, -2], [35, 55, 2], (12, 3)), 0.0,
                     2.0)

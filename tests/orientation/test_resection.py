@@ -128,6 +128,7 @@ def test_covariance_sigma0_and_standardized_residuals_against_scatter():
         got = resect(block_of(points, SEED_EXTERIOR, noise_px=0.3, noise_m=0.002, seed=seed), "a")
         gap = normalised_error(got, SEED_EXTERIOR)
         errors.append(gap @ np.linalg.solve(got.covariance, gap))
+        assert got.sigma0 is not None
         sums.append(got.sigma0**2 * got.dof)
         w.append(got.w)
         if seed < 5:

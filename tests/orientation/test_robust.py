@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from solvers import Block
+from solvers import Block, Exterior
 from solvers.orientation import resect, resect_orthogonal
 from tests.checks import angle_between, assert_same
 from tests.synthetic import SEED_CAMERA, block_of, scene
 
 
-def spoiled(seed: int) -> tuple[Block, set[str], object]:
+def spoiled(seed: int) -> tuple[Block, set[str], Exterior]:
     """12 to 24 points at 0.5 px, 40 % of them moved by 20 sigma up to 2000 px in random directions."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(12, 25))
