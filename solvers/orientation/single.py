@@ -21,7 +21,7 @@ from .orthogonal_c import OrthogonalFreeC
 from .resection import COLUMNS, UNITS, PriorOrientation, Resection
 from .result import Orientation
 from .robust import inliers
-from .words import bad_fit, correlations, undetermined
+from .words import bad_fit, correlations, snooping, undetermined
 
 AMBIGUOUS = 6.0
 """Discrimination D below which two solutions cannot be told apart (FORMULAS section 3.4)."""
@@ -276,6 +276,7 @@ def _describe(start: Start, trace: Trace) -> Orientation:
     if not trace.converged:
         warnings.append(f"did not converge: stopped by '{trace.last.stop}' after {trace.iterations} iterations; do not use")
     warnings += bad_fit(linear.cost, problem.dof)
+    warnings += snooping(stats.w[:n], used.names)
     warnings += correlations(covariance, stats.covariance, problem)
     warnings += undetermined(covariance)
     rejected = tuple(name for name, ok in zip(control.names, start.used, strict=True) if not ok)

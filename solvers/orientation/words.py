@@ -54,6 +54,19 @@ def correlations(covariance: np.ndarray, full: np.ndarray, problem: object) -> l
     return out
 
 
+def snooping(w: np.ndarray, names: tuple[str, ...]) -> list[str]:
+    """Baarda's data snooping: the largest standardized residual, tested at 1 % over all observations together."""
+    from scipy.special import ndtri
+
+    size = np.abs(np.where(np.isfinite(w), w, 0.0))
+    i, axis = np.unravel_index(int(size.argmax()), size.shape)
+    limit = float(-ndtri(0.005 / max(int(np.isfinite(w).sum()), 1)))
+    if size[i, axis] <= limit:
+        return []
+    return [f"data snooping: point {names[i]} has a standardized residual of {size[i, axis]:.1f} in {('col', 'row')[axis]} "
+            f"(limit {limit:.1f}): check its measurement and coordinates, or use the robust start"]
+
+
 def undetermined(covariance: np.ndarray) -> list[str]:
     """Whether this image determines its tilt at all (FORMULAS section 5: 2 degrees)."""
     tilt = float(np.degrees(np.sqrt(covariance[3, 3] + covariance[4, 4])))
