@@ -58,6 +58,7 @@ class App:
         self._painter = Painter(self.server)
         self._panels: list[Any] = []
         self._build()
+        self._home_opens = True  # until everything was solved once, what is found widens the first view
         self._closed, self._first = threading.Event(), threading.Event()
         self._paint()
         self._loop = threading.Thread(target=self._run, name="collinea-loop", daemon=True)
@@ -132,6 +133,9 @@ class App:
         self._jobs.want(jobs)
         if not any(job.image == state.image and job.model in MODELS for job in jobs):
             self._first.set()
+        if self._home_opens:
+            self._look()
+            self._home_opens = bool(jobs)
         with self.server.atomic():
             self._painter.paint(scene(state))
             for panel in self._panels:
@@ -154,9 +158,9 @@ class App:
         server.scene.set_up_direction("+z")
         server.scene.world_axes.visible = False
         server.scene.configure_default_lights(cast_shadow=False)
-        camera = server.initial_camera
-        camera.position, camera.look_at, camera.far = home(self._state)
-        camera.near, camera.fov = camera.far / 20000, np.radians(45)
+        self._home: tuple[np.ndarray, np.ndarray, float] | None = None
+        server.initial_camera.fov = np.radians(45)
+        self._look()
         self._dark: bool | None = None
         gui.set_panel_label("Collinea")
         self._wire = Wire(server, self._heard)
@@ -194,6 +198,19 @@ class App:
             ),
             "Scene as PLY": ("Download terrain, planes and frustums as one coloured mesh.", lambda c: self._download(c, "ply")),
         }
+
+    def _look(self) -> None:
+        """Look at all there is; who has moved already keeps the own view."""
+        old, (position, at, far) = self._home, home(self._state)
+        if old is not None and np.linalg.norm(position - old[0]) < 0.02 * np.linalg.norm(position - at):
+            return
+        self._home = position, at, far
+        camera = self.server.initial_camera
+        camera.position, camera.look_at, camera.far, camera.near = position, at, far, far / 20000
+        for client in self.server.get_clients().values():
+            shown = client.camera
+            if old is not None and np.allclose(shown.position, old[0], rtol=1e-3, atol=1e-3):
+                shown.position, shown.look_at = position, at
 
     def _theme(self, dark: bool) -> None:
         if dark != self._dark:

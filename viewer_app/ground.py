@@ -42,6 +42,7 @@ def ground(state: State, vectors: float) -> Scene:
         heights = xyz[np.isfinite(xyz).all(axis=1), 2]
         given = state.assets.level
         level = given if given is not None else float(heights.mean()) if len(heights) else 0.0
+        level -= lowered(state)
     x0, y0 = np.floor(low[:2] / cell) * cell
     x1, y1 = np.ceil(high[:2] / cell) * cell
     if state.view.terrain:
@@ -94,7 +95,7 @@ def scales(state: State, cell: float, vectors: float) -> str:
 
 
 def lowered(state: State) -> float:
-    """How much lower (m) the terrain is drawn, so that symbols and residuals on its slopes stay visible."""
+    """How much lower (m) the ground is drawn, so that symbols and residuals on its slopes stay visible."""
     return 0.5 * symbol_size(state)
 
 

@@ -184,9 +184,8 @@ def _image(state: State, name: str, depth: float) -> Scene:
     if view.truth and truth is not None:
         found[f"{path}/truth/camera"] = Frustum(truth, *lens, depth * 0.6, theme.foreground(view.dark), 1.0)
     at = _any(state, name)
-    if view.labels and at is not None:
-        up = 0.35 + (LINE if chosen and not view.compared else 0)
-        found[f"{path}/label"] = Label(name, at.centre + np.array([0, 0, up * depth]), 1.15 if chosen else 0.9, "bottom-center")
+    if view.labels and at is not None and (chosen or not view.compared):
+        found[f"{path}/label"] = Label(name, at.centre + np.array([0, 0, 0.35 * depth]), 1.15 if chosen else 0.9, "bottom-center")
     return found | (_difference(state, path, depth) if chosen else {})
 
 
@@ -285,7 +284,7 @@ def _difference(state: State, path: str, depth: float) -> Scene:
     one, view, found = state.exterior("perspective"), state.view, Scene()
     if one is None or not view.perspective:
         return found
-    up = 0.35 + (LINE if view.compared else 0)
+    up = 0.35 + LINE * (1 if view.compared else 2)  # above the names of neighbours
     shown = (["orthogonal"] if view.orthogonal else []) + (list(DASHED) if view.compared else [])
     for model in shown:
         two = state.exterior(model)

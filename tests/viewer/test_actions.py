@@ -13,10 +13,13 @@ from viewer_app.actions import (
     Cancel,
     ChooseImage,
     ChoosePoint,
+    Clicking,
     Failed,
+    ForgetSpots,
     GoTo,
     Place,
     Play,
+    Plot,
     Redo,
     Rows,
     Set,
@@ -27,6 +30,8 @@ from viewer_app.actions import (
     SwitchPoint,
     Tick,
     Undo,
+    UseBox,
+    UseOnly,
     UsePoints,
     update,
 )
@@ -87,6 +92,30 @@ def test_a_cluster_is_chosen_by_its_group(state: State) -> None:
     assert set(one.control()) == {"G05", "G07", "G08"}
     assert update(one, UsePoints("")).work.off == frozenset()
     assert update(state, UsePoints("no such group")) is state
+
+
+def test_control_is_chosen_by_name(state: State) -> None:
+    assert set(update(state, UseOnly(("G01", "G1*"))).control()) == {"G01", "G10", "G12", "G13", "G14", "G15"}
+    nobody = update(state, UseOnly(("X?",)))
+    assert nobody.work is state.work and "X?" in nobody.message
+
+
+def test_control_is_chosen_by_a_rectangle_on_the_photo(state: State) -> None:
+    block = state.block
+    rows = block.seen_in("left", ("control",))
+    pixels, names = block.observations.pixel[rows], [block.points.names[j] for j in block.observations.point[rows]]
+    low, high = np.median(pixels, axis=0), pixels.max(axis=0) + 1
+    meant = {n for n, p in zip(names, pixels, strict=True) if (p >= low).all()}
+    for corners in ((*low, *high), (*high, *low), (low[0], high[1], high[0], low[1])):
+        assert set(update(state, UseBox(*corners)).control()) == meant and len(meant) > 1
+    empty = update(state, UseBox(0.0, 0.0, 1.0, 1.0))
+    assert empty.work is state.work and empty.message
+
+
+def test_places_are_kept_within_the_photo_and_forgotten(state: State) -> None:
+    one = update(update(state, Plot(100.0, 200.0)), Plot(-50.0, 3.0))
+    assert len(one.spots) == 1 and update(one, ForgetSpots()).spots == ()
+    assert update(state, Clicking("monoplot")).click == "monoplot" and update(state, Clicking("other")) is state
 
 
 def test_late_rows_of_an_older_revision_are_dropped(solved: State) -> None:

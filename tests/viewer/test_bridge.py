@@ -106,6 +106,8 @@ def test_no_tunnel_is_opened_whoever_asks(plain: viser.ViserServer) -> None:
     [
         (json.dumps(["point", "G01", "1"]), ("point", "G01")),
         (json.dumps(["photo", [0.25, 1], "1"]), ("photo", (0.25, 1.0))),
+        (json.dumps(["photo-box", [0.25, 1, 0, 0.5], "1"]), ("photo-box", (0.25, 1.0, 0.0, 0.5))),
+        (json.dumps(["photo-box", [0.25, 1, 0], "1"]), None),
         ("", None),
         ("{}", None),
         ("[1,2,3]", None),
@@ -128,6 +130,7 @@ def test_ten_thousand_mutated_messages_leave_the_state_valid() -> None:
         json.dumps(["photo", [0.25, 0.5], "1"]),
         json.dumps(["row", "3", "1"]),
         json.dumps(["nudge", "left", "1"]),
+        json.dumps(["photo-box", [0.1, 0.1, 0.9, 0.9], "1"]),
         json.dumps(["magnifier", [0.5, 0.5], "1"]),
         json.dumps(["image", "right", "1"]),
     ]

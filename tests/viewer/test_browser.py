@@ -13,17 +13,23 @@ import numpy as np
 import pytest
 
 from solvers.cameras import project
+from solvers.orientation import Monoplotted
 from tests.browser import ViserPage, require_chromium, viser_page
 from viewer_app import theme
-from viewer_app.actions import ChooseImage, ChoosePoint, Show, Step, UsePoints
+from viewer_app.actions import ChooseImage, ChoosePoint, ForgetSpots, Show, Step, UsePoints
 from viewer_app.app import App
 from viewer_app.paint_viser import frustum_pose
 from viewer_app.scene import scene
+from viewer_app.spots import plotted
+from viewer_app.state import COMPARED
 from viewer_app.values import Segments
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(400)]
 DEMO = Path(__file__).resolve().parents[2] / "assets" / "demo"
 Session = tuple[App, ViserPage]
+HEAVY = ("terrain", "labels", "photos", "ellipsoids")
+"""What costs a renderer without a GPU most."""
+POINTS_ONLY = (*HEAVY, "rays", "bundle", "residuals", "perspective", "orthogonal", "truth", "initial", "georeferenced", "printed")
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +37,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
     require_chromium()
     folder = tmp_path_factory.mktemp("viewer") / "demo"
     shutil.copytree(DEMO, folder, ignore=shutil.ignore_patterns("runs"))
-    with App(folder) as app, viser_page(app.port, size=(1200, 720)) as v:
+    with App(folder) as app, viser_page(app.port, size=(1000, 640)) as v:
         v.page.set_default_timeout(60_000)
         settle(app, v)
         v.dismiss_notifications()
@@ -76,6 +82,8 @@ def test_the_demo_opens(session: Session) -> None:
     v.page.get_by_role("table", name="Orientation").wait_for()
     assert v.page.get_by_text(f"{len(state.control())} control points on").is_visible()
     assert all(s.orientation is None or s.orientation.trace.converged for s in state.work.solutions.values())
+    for name in HEAVY:  # seen once; what follows needs frames, not beauty
+        app.emit(Show(name, False))
 
 
 # -- the honest picture
@@ -120,24 +128,11 @@ def measured_points(app: App, v: ViserPage) -> tuple[np.ndarray, np.ndarray]:
 @pytest.fixture
 def points_only(session: Session) -> Iterator[Session]:
     app, v = session
-    names = (
-        "terrain",
-        "labels",
-        "rays",
-        "bundle",
-        "residuals",
-        "ellipsoids",
-        "perspective",
-        "orthogonal",
-        "truth",
-        "initial",
-        "georeferenced",
-    )
-    for name in names:
+    for name in POINTS_ONLY:
         app.emit(Show(name, False))
     settle(app, v)
     yield app, v
-    for name in names:
+    for name in set(POINTS_ONLY) - set(HEAVY):
         app.emit(Show(name, True))
 
 
@@ -293,6 +288,7 @@ def test_a_second_browser_sees_and_changes_the_same_state(session: Session) -> N
     app.emit(Step("first"))
     page = v.page.context.new_page()
     try:
+        page.set_viewport_size({"width": 700, "height": 420})
         page.goto(f"http://127.0.0.1:{app.port}/?fixedDpr=1")
         second = ViserPage(page, v.log)
         second.wait_connected()
@@ -358,6 +354,85 @@ def test_a_point_is_measured_on_the_photo_to_half_a_pixel(session: Session) -> N
     v.open_tab("Iterations")
 
 
+def photo_place(app: App, v: ViserPage, col: float, row: float) -> tuple[float, float]:
+    """Where a pixel of the chosen photo is on the page."""
+    camera, box = app.state.block.camera_of(app.state.image), v.page.get_by_role("img", name="Photo ").bounding_box()
+    assert box
+    return box["x"] + (col + 0.5) / camera.width * box["width"], box["y"] + (row + 0.5) / camera.height * box["height"]
+
+
+def test_a_click_gives_ground_coordinates(session: Session) -> None:
+    """A click on a measured control point's image: its ground coordinates, to what half a pixel of the page allows."""
+    app, v = session
+    v.open_tab("Photo")
+    v.choose("A click", "gives ground coordinates")
+    v.wait_until(lambda: app.state.click == "monoplot" and app.state.assets.surface is not None, "the mode")
+    block, name = app.state.block, app.state.control()[0]
+    j = block.point_index(name)
+    row = next(r for r in block.seen_in(app.state.image) if block.observations.point[r] == j)
+    picture = v.page.get_by_role("img", name="Photo ")
+    picture.scroll_into_view_if_needed()
+    v.page.mouse.click(*photo_place(app, v, *block.observations.pixel[row]))
+    v.wait_until(lambda: len(app.state.spots) == 1, "the place")
+    [(_, place)] = plotted(app.state)
+    assert isinstance(place, Monoplotted)
+    reach = block.camera_of(app.state.image).width / (picture.bounding_box() or {"width": 1})["width"]  # photo px in one page px
+    ground_pixel = 300 * 0.0039 / 35
+    assert np.linalg.norm(place.ground[:2] - block.points.xyz[j, :2]) < 1.5 * reach * ground_pixel
+    v.wait_nodes("/spots/1/cross", "/spots/1/ellipse")
+    assert f"{place.ground[0]:.2f}" in v.page.get_by_role("table", name="Ground coordinates").inner_text()
+    assert app.state.mark is None
+    app.emit(ForgetSpots())
+    v.choose("A click", "measures the point")
+    v.wait_until(lambda: app.state.click == "measure" and not app.state.spots, "the mode")
+
+
+# -- comparing
+
+
+def test_a_rectangle_on_the_photo_chooses_control_and_all_solutions_stand_beside_each_other(session: Session) -> None:
+    app, v = session
+    v.open_tab("Photo")
+    block, image = app.state.block, app.state.image
+    picture = v.page.get_by_role("img", name="Photo ")
+    picture.scroll_into_view_if_needed()
+    camera = block.camera_of(image)
+    edge = 0.55 * camera.width
+    of = block.observations
+    at = {block.points.names[of.point[r]]: of.pixel[r] for r in block.seen_in(image, ("control",))}
+    tolerance = camera.width / 100
+    left, near = ({n for n, p in at.items() if p[0] < edge + d} for d in (-tolerance, tolerance))
+    v.page.mouse.move(*photo_place(app, v, 20, 20))
+    v.page.mouse.down()
+    for x in (0.2 * camera.width, edge):
+        v.page.mouse.move(*photo_place(app, v, x, camera.height - 20))
+    v.page.mouse.up()
+    v.wait_until(lambda: app.state.work.off, "the rectangle", 30)
+    assert left <= set(app.state.control()) <= near and app.state.mark is None
+    settle(app, v)
+    v.open_tab("Compare")
+    v.set_checkbox("Draw all in the scene", True)
+    v.wait_nodes(f"/images/{image}/one_pass/camera", f"/images/{image}/with_prior/camera", f"/images/{image}/as_printed/camera",
+                 f"/images/{image}/difference/with_prior")
+    table = v.page.get_by_role("table", name="Solutions compared")
+    words = table.inner_text()
+    assert all(model in words for model in COMPARED) and "±" in words
+    errors = v.page.get_by_role("table", name="Predicted and actual error").inner_text()
+    assert "actual" in errors and "predicted" in errors
+    assert v.page.get_by_role("note", name="Advice").inner_text().startswith("Advice: ")
+    app.emit(Step("first"))  # one slider steps all of them
+    v.wait_until(lambda: "±" not in table.inner_text(), "row 0 in the table")
+    app.emit(Step("last"))
+    app.emit(Show("compared", False))
+    v.set_text("Names", "G0*")
+    v.click_button("Use these points")
+    v.wait_until(lambda: set(app.state.control()) == {n for n in at if n.startswith("G0")}, "the points named")
+    app.emit(UsePoints(""))
+    v.wait_until(lambda: not app.state.work.off, "all points")
+    v.open_tab("Iterations")
+    v.open_tab("Orientation")
+
+
 # -- ways out
 
 
@@ -388,22 +463,26 @@ def test_saving_writes_what_was_edited(session: Session) -> None:
     assert np.array_equal(again.observations.pixel, app.state.block.observations.pixel)
 
 
+def corner(v: ViserPage) -> np.ndarray:
+    """Mean colour (3,) of a small piece of the page's empty background, as a person sees it."""
+    from io import BytesIO
+
+    from PIL import Image
+
+    shot = v.page.screenshot(clip={"x": 4, "y": 4, "width": 12, "height": 12})
+    return np.asarray(Image.open(BytesIO(shot)).convert("RGB"), float).mean(axis=(0, 1))
+
+
 def test_dark_and_light(session: Session) -> None:
     app, v = session
     v.open_tab("Project")
-    scheme = "() => document.documentElement.getAttribute('data-mantine-color-scheme') ?? document.body.className"
-    light = v.page.evaluate(scheme)
+    assert corner(v).min() > 240
     v.set_checkbox("Dark", True)
-    v.wait_until(lambda: app.state.view.dark, "dark")
-    background = "() => getComputedStyle(document.body).backgroundColor"
-    v.page.wait_for_function(
-        "() => { const c = getComputedStyle(document.body).backgroundColor.match(/\\d+/g).map(Number);"
-        " return c[0] + c[1] + c[2] < 300 || window.__viserMutable.canvas.parentElement"
-        " && getComputedStyle(document.documentElement).colorScheme.includes('dark'); }"
-    )
-    assert v.page.evaluate(background) or light
+    v.wait_until(lambda: app.state.view.dark and corner(v).max() < 60, "a dark page", 60)
+    truth = scene(app.state)[f"/images/{app.state.image}/truth/camera"]
+    assert truth.colour == theme.foreground(True)  # type: ignore[union-attr]
     v.set_checkbox("Dark", False)
-    v.wait_until(lambda: not app.state.view.dark, "light")
+    v.wait_until(lambda: not app.state.view.dark and corner(v).min() > 240, "a light page", 60)
 
 
 def test_the_run_opens_in_rerun_beside_the_scene(session: Session) -> None:

@@ -68,7 +68,7 @@ def test_the_magnifier_shows_the_pixel_that_is_marked(picture: Path) -> None:
     shown = Photo(picture, whole, whole, (1000, 667))
     for file in ((500, 300), (255, 256), (3, 660)):
         full = (np.array(file) + 0.5) * [6, 4000 / 667] - 0.5
-        pixels, x, y = crop(shown, (6000, 4000), *full, HALF)
+        pixels, x, y = crop(shown, (6000, 4000), float(full[0]), float(full[1]), HALF)
         assert pixels.shape == (2 * HALF + 1, 2 * HALF + 1, 3)
         assert np.allclose([x, y], HALF) and np.array_equal(pixels[round(y), round(x)], whole[file[1], file[0]])
 

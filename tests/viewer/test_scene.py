@@ -14,7 +14,7 @@ from tests.viewer.test_actions import solve_all  # type: ignore[import-not-found
 from viewer_app import theme
 from viewer_app.actions import ChoosePoint, Show, Step, SwitchPoint, update
 from viewer_app.export import frustum_corners, glb, ply
-from viewer_app.ground import nice
+from viewer_app.ground import lowered, nice
 from viewer_app.paint_viser import equal, frustum_pose
 from viewer_app.picking import pick
 from viewer_app.scene import CHI_95, scene, sight, vector_scale
@@ -83,7 +83,7 @@ def test_without_terrain_there_is_a_plane_at_the_mean_height(solved: State) -> N
     plane = scene(flat(solved))["/ground/plane"]
     assert isinstance(plane, Plane)
     heights = solved.assets.frame.to_local(solved.block.points.xyz)[:, 2]
-    assert np.allclose(plane.corners[:, 2], heights.mean())
+    assert np.allclose(plane.corners[:, 2], heights.mean() - lowered(solved))
 
 
 def test_residual_vectors_end_on_the_observed_rays(solved: State) -> None:

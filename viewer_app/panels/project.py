@@ -16,7 +16,7 @@ SHOWN = (
     (
         "terrain",
         "Terrain",
-        "The project's DEM, drawn half a symbol lower so that symbols stay visible, or a plane at the mean height of the GCPs.",
+        "The project's DEM, or a plane at the mean height of the GCPs; drawn half a symbol lower so that symbols stay visible.",
     ),
     ("labels", "Names", "Names of points and images."),
     ("photos", "Photos", "The photos in the image planes of the perspective solutions."),
