@@ -19,12 +19,12 @@ part = njit(no_cpython_wrapper=True, _nrt=False, **_COMMON)  # allocates nothing
 
 
 @part
-def invert(k, xi, yi, x, y):
-    """The measured point (x, y) whose correction is (xi, yi), by Newton from a guess, then from (xi, yi); and the inverse of
-    the derivative."""
+def invert(k, xi, yi, x, y, found):
+    """The measured point (x, y) whose correction is (xi, yi), by Newton from a guess, then from (xi, yi), or
+    the guess itself where it is `found` already; and the inverse of the derivative."""
     bad = True
     b00 = b01 = b10 = b11 = 0.0
-    tolerance = 1e-13 * (1.0 + abs(xi) + abs(yi))
+    close = 1e-8 * (1.0 + abs(xi) + abs(yi))  # one step more would be of the order of its square
     for attempt in range(2):
         if attempt == 1:
             x = xi
@@ -45,13 +45,15 @@ def invert(k, xi, yi, x, y):
             b01 = -j01 * i
             b10 = -j10 * i
             b11 = j00 * i
+            if found:
+                return False, x, y, b00, b01, b10, b11
             dx = b00 * ex + b01 * ey
             dy = b10 * ex + b11 * ey
             x += dx
             y += dy
             if not (abs(dx) + abs(dy) < 1e6):
                 break
-            if abs(dx) + abs(dy) < tolerance:
+            if abs(dx) + abs(dy) < close:
                 bad = not (det > 0.0 and x * x + y * y < k[14])
                 break
         if not bad:
@@ -60,9 +62,10 @@ def invert(k, xi, yi, x, y):
 
 
 @part
-def see(poses, i, cameras, c, points, p, pixel, o, scale, r, J, interior):
+def see(poses, i, cameras, c, points, p, pixel, o, scale, r, J, interior, photo, found):
     """Weighted residual r (2,), observed minus projected, and derivatives of the projection J (2, 19): centre, rotation, point
-    and, where asked for, the ten interior parameters. False where the point cannot be seen."""
+    and, where asked for, the ten interior parameters. False where the point cannot be seen. photo (o, 2): where the point is
+    in the photo, reduced [mm], kept by the first pass and read by those after it (found)."""
     k = cameras[c]
     weight = scale[o]
     ex = points[p, 0] - poses[i, 0]
@@ -80,9 +83,15 @@ def see(poses, i, cameras, c, points, p, pixel, o, scale, r, J, interior):
     sx = k[10] * weight
     sy = -k[11] * weight
     if k[15] != 0.0:
-        x = (pixel[o, 0] - k[12]) / k[10] - k[1]
-        y = -(pixel[o, 1] - k[13]) / k[11] - k[2]
-        bad, x, y, b00, b01, b10, b11 = invert(k, xi, yi, x, y)
+        if found:
+            x = photo[o, 0]
+            y = photo[o, 1]
+        else:
+            x = (pixel[o, 0] - k[12]) / k[10] - k[1]
+            y = -(pixel[o, 1] - k[13]) / k[11] - k[2]
+        bad, x, y, b00, b01, b10, b11 = invert(k, xi, yi, x, y, found)
+        photo[o, 0] = x
+        photo[o, 1] = y
         if bad:
             return False
         b00 *= sx
@@ -166,7 +175,7 @@ def cost(p0, p1, start, image, camera, pixel, weight, kind, poses, cameras, poin
                 yi = y
                 x = (pixel[o, 0] - k[12]) / k[10] - k[1]
                 y = -(pixel[o, 1] - k[13]) / k[11] - k[2]
-                bad, x, y, _, _, _, _ = invert(k, xi, yi, x, y)
+                bad, x, y, _, _, _, _ = invert(k, xi, yi, x, y, False)
                 if bad:
                     return np.inf
             r0 = (pixel[o, 0] - k[12] - (x + k[1]) * k[10]) * weight[o]
@@ -179,9 +188,9 @@ def cost(p0, p1, start, image, camera, pixel, weight, kind, poses, cameras, poin
 
 
 @part
-def derive(o, i, p, camera, pixel, weight, kind, poses, cameras, points, r, J, interior):
+def derive(o, i, p, camera, pixel, weight, kind, poses, cameras, points, photo, r, J, interior, found):
     """`see`, with the weight of a robust loss taken in."""
-    see(poses, i, cameras, camera[i], points, p, pixel, o, weight, r, J, interior)
+    see(poses, i, cameras, camera[i], points, p, pixel, o, weight, r, J, interior, photo, found)
     if kind != 0:
         s = np.sqrt(loss(kind, np.sqrt(r[0] * r[0] + r[1] * r[1]))[1])
         for j in range(19 if interior else 9):
@@ -192,9 +201,10 @@ def derive(o, i, p, camera, pixel, weight, kind, poses, cameras, points, r, J, i
 
 
 @kernel
-def gather(p0, p1, live, start, image, camera, pixel, weight, kind, poses, cameras, points, first, count, which,
-           U, B, C, g, h, V, q):
-    """Normal equations before any elimination: U (m, 6, 6), B (m, 6, k), C (k, k) with right sides g (m, 6) and h (k,) are
+def gather(p0, p1, live, start, image, camera, pixel, weight, kind, poses, cameras, points, photo, first, count,
+           which, U, B, C, g, h, V, q):
+    """Normal equations before any elimination: U (m, 6, 6) (lower), B (m, 6, k), C (k, k) with right sides g (m, 6) and h
+    (k,) are
     summed, V (n, 6) (00, 10, 11, 20, 21, 22) and q (n, 3) of the points below `live` are written.
 
     first, count: where a camera's free parameters stand in the border, and how many; which (k,): which of the ten."""
@@ -206,7 +216,7 @@ def gather(p0, p1, live, start, image, camera, pixel, weight, kind, poses, camer
         v00 = v10 = v11 = v20 = v21 = v22 = g0 = g1 = g2 = 0.0
         for o in range(start[p], start[p + 1]):
             i = image[o]
-            derive(o, i, p, camera, pixel, weight, kind, poses, cameras, points, r, J, border > 0)
+            derive(o, i, p, camera, pixel, weight, kind, poses, cameras, points, photo, r, J, border > 0, False)
             r0 = r[0]
             r1 = r[1]
             if p < live:
@@ -224,7 +234,7 @@ def gather(p0, p1, live, start, image, camera, pixel, weight, kind, poses, camer
                 a = J[0, s]
                 b = J[1, s]
                 g[i, s] += a * r0 + b * r1
-                for t in range(6):
+                for t in range(s + 1):
                     U[i, s, t] += a * J[0, t] + b * J[1, t]
             if border > 0:
                 c = camera[i]
@@ -263,8 +273,8 @@ def root(V, p, damping, L):
 
 
 @kernel
-def eliminate(p0, p1, longest, start, image, camera, pixel, weight, kind, poses, cameras, points, first, count, which, V, q,
-              damping, lut, S, B, C, g, h):
+def eliminate(p0, p1, longest, start, image, camera, pixel, weight, kind, poses, cameras, points, photo, first, count,
+              which, V, q, damping, lut, S, B, C, g, h):
     """Take the points p0 .. p1 out: subtract W V^-1 W^T from S (b, 6, 6), its border B (m, 6, k), C (k, k) and right sides."""
     border = len(which)
     r = np.zeros(2)
@@ -284,7 +294,7 @@ def eliminate(p0, p1, longest, start, image, camera, pixel, weight, kind, poses,
         for e in range(n):
             o = o0 + e
             i = image[o]
-            derive(o, i, p, camera, pixel, weight, kind, poses, cameras, points, r, J, border > 0)
+            derive(o, i, p, camera, pixel, weight, kind, poses, cameras, points, photo, r, J, border > 0, True)
             x0 = J[0, 6] * i0  # derivatives by the point, times L^-T: two rows of three
             x1 = (J[0, 7] - l10 * x0) * i1
             x2 = (J[0, 8] - l20 * x0 - l21 * x1) * i2
@@ -329,7 +339,7 @@ def eliminate(p0, p1, longest, start, image, camera, pixel, weight, kind, poses,
 
 
 @kernel
-def expand(p0, p1, start, image, camera, pixel, weight, kind, poses, cameras, points, first, count, which, V, q, damping,
+def expand(p0, p1, start, image, camera, pixel, weight, kind, poses, cameras, points, photo, first, count, which, V, q, damping,
            images, shared, out):
     """Steps of the points, out (n, r, 3), that belong to steps of the images (m, 6, r) and of the border (k, r); q (n, r, 3)."""
     border = len(which)
@@ -343,7 +353,7 @@ def expand(p0, p1, start, image, camera, pixel, weight, kind, poses, cameras, po
             G[c, 0], G[c, 1], G[c, 2] = q[p, c, 0], q[p, c, 1], q[p, c, 2]
         for o in range(start[p], start[p + 1]):
             i = image[o]
-            derive(o, i, p, camera, pixel, weight, kind, poses, cameras, points, r, J, border > 0)
+            derive(o, i, p, camera, pixel, weight, kind, poses, cameras, points, photo, r, J, border > 0, True)
             f = first[camera[i]]
             for c in range(many):
                 e0 = 0.0
@@ -371,7 +381,7 @@ def expand(p0, p1, start, image, camera, pixel, weight, kind, poses, cameras, po
 
 
 @plain
-def carry(p0, p1, start, image, camera, pixel, weight, kind, poses, cameras, points, first, count, which, V, q, g, h):
+def carry(p0, p1, start, image, camera, pixel, weight, kind, poses, cameras, points, photo, first, count, which, V, q, g, h):
     """Right sides (n, r, 3) of the points, eliminated: subtracts W V^-1 q from g (m, 6, r) and h (k, r)."""
     border = len(which)
     many = q.shape[1]
@@ -390,7 +400,7 @@ def carry(p0, p1, start, image, camera, pixel, weight, kind, poses, cameras, poi
             x[c, 0] = (z0 - L[1] * x[c, 1] - L[3] * x[c, 2]) * L[0]
         for o in range(start[p], start[p + 1]):
             i = image[o]
-            derive(o, i, p, camera, pixel, weight, kind, poses, cameras, points, r, J, border > 0)
+            derive(o, i, p, camera, pixel, weight, kind, poses, cameras, points, photo, r, J, border > 0, True)
             f = first[camera[i]]
             for c in range(many):
                 e0 = J[0, 6] * x[c, 0] + J[0, 7] * x[c, 1] + J[0, 8] * x[c, 2]
@@ -403,7 +413,7 @@ def carry(p0, p1, start, image, camera, pixel, weight, kind, poses, cameras, poi
 
 
 @plain
-def judge(p0, p1, live, longest, start, image, camera, pixel, weight, kind, poses, cameras, points, first, count, which, V,
+def judge(p0, p1, live, longest, start, image, camera, pixel, weight, kind, poses, cameras, points, photo, first, count, which, V,
           lut, Q, QB, QC, covariance, computed, residual):
     """From the inverse where it is stored (Q (b, 6, 6), QB (m, 6, k), QC (k, k)): covariance (n, 3, 3) of the points and, where
     `computed` (o, 2, 2) has room, the covariance of every computed observation over its own variance, with the standardized
@@ -440,7 +450,7 @@ def judge(p0, p1, live, longest, start, image, camera, pixel, weight, kind, pose
         for e in range(n):
             o = o0 + e
             i = image[o]
-            derive(o, i, p, camera, pixel, weight, kind, poses, cameras, points, r, J[e], border > 0)
+            derive(o, i, p, camera, pixel, weight, kind, poses, cameras, points, photo, r, J[e], border > 0, True)
             if whole:
                 residual[o, 0] = r[0]
                 residual[o, 1] = r[1]

@@ -100,11 +100,13 @@ class Compiled:
         """Normal equations at x. A free network gets a minimal datum, of which nothing is left once the inner one is applied."""
         net, t = self.network, self.threads
         m, f, live = net.sizes
-        at = (*self._at(x), net.first, net.count, net.which)
+        photo = np.empty((len(net.image), 2))  # filled by this pass, read by those after it
+        at = (*self._at(x), photo, net.first, net.count, net.which)
         parts = [np.zeros((t, *shape)) for shape in ((m, 6, 6), (m, 6, f), (f, f), (m, 6), (f,))]
         v, q = np.zeros((live, 6)), np.zeros((live, 3))
         self._each(lambda k, a, b: self._kernels.gather(a, b, live, *at, *(p[k] for p in parts), v, q))
         u, b, c, g, h = (p.sum(axis=0) if t > 1 else p[0] for p in parts)
+        u += np.swapaxes(np.tril(u, -1), 1, 2)
         rows, (misclosure, d) = net.prior_arrays[0], priors
         u[rows] += np.swapaxes(d, 1, 2) @ d
         g[rows] += (np.swapaxes(d, 1, 2) @ misclosure[..., None])[..., 0]
