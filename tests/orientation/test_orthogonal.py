@@ -29,7 +29,7 @@ def test_jacobians_against_differences(form, recentre):
     model = model_of(points, at, form, recentre, REAL_CAMERA, 1.0, frozen=at)
     x = model.start(model.affine_of(at))
     check_jacobian(model, x)
-    h = central(lambda e: -model.linear(model.retract(x, e)).w, 8, 1e-7)
+    h = central(lambda e: -np.asarray(model.linear(model.retract(x, e)).w), 8, 1e-7)
     design = model.linear(x).h
     assert design is not None and np.abs(h - design).max() < 1e-8 * np.abs(h).max()
     jg, jp, _ = model.models(at)
