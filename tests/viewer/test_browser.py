@@ -37,7 +37,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
     require_chromium()
     folder = tmp_path_factory.mktemp("viewer") / "demo"
     shutil.copytree(DEMO, folder, ignore=shutil.ignore_patterns("runs"))
-    with App(folder) as app, viser_page(app.port, size=(1000, 640)) as v:
+    with App(folder) as app, viser_page(app.port, size=(1150, 680)) as v:
         v.page.set_default_timeout(60_000)
         settle(app, v)
         v.dismiss_notifications()
@@ -371,7 +371,7 @@ def test_a_click_gives_ground_coordinates(session: Session) -> None:
     j = block.point_index(name)
     row = next(r for r in block.seen_in(app.state.image) if block.observations.point[r] == j)
     picture = v.page.get_by_role("img", name="Photo ")
-    picture.scroll_into_view_if_needed()
+    v.page.get_by_text("click for ground coordinates").wait_for()
     v.page.mouse.click(*photo_place(app, v, *block.observations.pixel[row]))
     v.wait_until(lambda: len(app.state.spots) == 1, "the place")
     [(_, place)] = plotted(app.state)
@@ -395,7 +395,7 @@ def test_a_rectangle_on_the_photo_chooses_control_and_all_solutions_stand_beside
     v.open_tab("Photo")
     block, image = app.state.block, app.state.image
     picture = v.page.get_by_role("img", name="Photo ")
-    picture.scroll_into_view_if_needed()
+    picture.wait_for()
     camera = block.camera_of(image)
     edge = 0.55 * camera.width
     of = block.observations

@@ -13,7 +13,7 @@ from ..bridge import Wire
 from ..ground import nice
 from ..scene import Sight, sight
 from ..spots import plotted
-from ..state import MODELS, Photo, State
+from ..state import MODELS, Photo, State, Work
 from ..theme import CHECK, CONTROL, INITIAL, RESIDUAL
 from .widgets import BOX, MUTED, Emit, Html, bind, css, decimals, esc, jpeg, prop, put, swatch, table
 
@@ -79,7 +79,7 @@ def photo_html(state: State, wire: Wire) -> str:
     seen = next((s for m in MODELS if (s := sight(state, m)) is not None), None)
     unit = camera.width / 420
     scale = 0.0 if seen is None else _scale(state, seen)
-    shapes = _observations(state, unit) + ("" if seen is None else _residuals(seen, scale, unit))
+    shapes = _observations(state.work, state.image, state.point, unit) + ("" if seen is None else _residuals(seen, scale, unit))
     if state.mark is not None:
         x, y, r = state.mark.col + 0.5, state.mark.row + 0.5, 9 * unit
         shapes += (
@@ -118,13 +118,14 @@ def _places(state: State, unit: float) -> str:
     return "".join(shapes)
 
 
-def _observations(state: State, unit: float) -> str:
-    block, shapes = state.block, []
-    for r in block.seen_in(state.image):
+@lru_cache(maxsize=8)
+def _observations(work: Work, image: str, point: str | None, unit: float) -> str:
+    block, shapes = work.block, []
+    for r in block.seen_in(image):
         j = block.observations.point[r]
         name, (col, row) = block.points.names[j], block.observations.pixel[r]
-        colour = css(INITIAL if name in state.work.off else CONTROL if block.points.role[j] == "control" else CHECK)
-        size = (6.5 if name == state.point else 3.5) * unit
+        colour = css(INITIAL if name in work.off else CONTROL if block.points.role[j] == "control" else CHECK)
+        size = (6.5 if name == point else 3.5) * unit
         shapes.append(
             f'<circle data-point="{esc(name)}" cx="{col + 0.5:.2f}" cy="{row + 0.5:.2f}" r="{size:.2f}" fill="none" '
             f'stroke="{colour}" stroke-width="{1.4 * unit:.2f}"><title>{esc(name)}</title></circle>'

@@ -53,6 +53,7 @@ class ProjectPanel:
     def __init__(self, gui: viser.GuiApi, emit: Emit, wire: Wire, ways: dict[str, tuple[str, Way]]) -> None:
         self._wire = wire
         self._text = Html(gui)
+        self._drawn: tuple[object, ...] = ()
         for label, (hint, way) in ways.items():
             button = gui.add_button(label, hint=hint, color=None if label == "Open in rerun" else "gray")
             button.on_click(lambda event, way=way: way(event.client))
@@ -62,7 +63,10 @@ class ProjectPanel:
 
     def draw(self, state: State) -> None:
         put(self._dark, state.view.dark)
-        self._text.set(project_html(state, self._wire))
+        seen = (state.work, state.assets, state.image, state.view.dark)
+        if seen != self._drawn:
+            self._drawn = seen
+            self._text.set(project_html(state, self._wire))
 
 
 class ScenePanel:

@@ -123,7 +123,7 @@ def _unsaid(state: State) -> list[str]:
 
 def point_table(state: State, wire: Wire) -> str:
     """Every control and check point: on or off, its residuals in the chosen image by both models. A row switches its point."""
-    seen = [sight(state, model) for model in MODELS]
+    seen = [_residuals(sight(state, model)) for model in MODELS]
     points, rows = state.block.points, []
     for name, role, group in zip(points.names, points.role, points.group or ("",) * len(points), strict=True):
         if role == "tie":
@@ -137,7 +137,7 @@ def point_table(state: State, wire: Wire) -> str:
         )
         cells = [f"{'☐' if off else '☑'} {mark}{esc(name)}", f"{esc(role)}{' · ' + esc(group) if group else ''}"]
         for s in seen:
-            cells += _residual(s, name)
+            cells += s.get(name, ("", ""))
         rows.append((f'{attributes} {style} data-point="{esc(name)}"', cells))
     head = ("point", "role", *(f"{swatch(COLOURS[m])}v {axis}" for m in MODELS for axis in ("col", "row")))
     on = len(state.control())
@@ -146,7 +146,9 @@ def point_table(state: State, wire: Wire) -> str:
     return f"<div {BOX}>{title}{table(head, rows, 'Ground control points', 230)}</div>"
 
 
-def _residual(seen: Sight | None, name: str) -> list[str]:
-    if seen is None or name not in seen.names:
-        return ["", ""]
-    return [f"{v:+.2f}" if np.isfinite(v) else "behind" for v in seen.residuals[seen.names.index(name)]]
+def _residuals(seen: Sight | None) -> dict[str, tuple[str, str]]:
+    """Both residuals of every point seen, in words."""
+    if seen is None:
+        return {}
+    words = (tuple(f"{v:+.2f}" if v == v else "behind" for v in pair) for pair in seen.residuals.tolist())
+    return dict(zip(seen.names, words, strict=True))  # type: ignore[arg-type]
