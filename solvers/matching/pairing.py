@@ -35,25 +35,21 @@ def match_descriptors(a: np.ndarray, b: np.ndarray, ratio: float = 0.8, expected
     """
     if len(a) < 2 or len(b) < 2:
         return np.empty((0, 2), int)
-    best, good = np.empty(len(a), int), np.empty(len(a), bool)
-    top, owner = np.full(len(b), -np.inf, np.float32), np.full(len(b), -1)
+    best, first, second = np.empty(len(a), int), np.empty(len(a), np.float32), np.empty(len(a), np.float32)
+    top = np.full(len(b), -1, np.float32)
     for i in range(0, len(a), chunk):
         score = a[i : i + chunk] @ b.T
         if expected is not None and pixel is not None:
             score[~_within(expected[i : i + chunk], pixel, radius)] = -1.0
-        row = score.argmax(0)
-        value = score[row, np.arange(len(b))]
-        owner = np.where(value > top, row + i, owner)
-        top = np.maximum(top, value)
-        line = np.arange(len(score))
-        nearest = score.argmax(1)
-        first = score[line, nearest]
-        score[line, nearest] = -np.inf
-        best[i : i + chunk] = nearest
-        good[i : i + chunk] = 1 - first < ratio**2 * (1 - score.max(1))  # |u - v|^2 = 2 (1 - u v)
-    index = np.arange(len(a))
-    mutual = good & (owner[best] == index) & (top[best] > -1)
-    return np.stack([index[mutual], best[mutual]], 1)
+        top = np.maximum(top, score.max(0))
+        line, part = np.arange(len(score)), slice(i, i + chunk)
+        best[part] = score.argmax(1)
+        first[part] = score[line, best[part]]
+        score[line, best[part]] = -1.0
+        second[part] = score.max(1)
+    mutual = (first > -1) & (first >= top[best])
+    good = np.flatnonzero(mutual & (1 - first < ratio**2 * (1 - second)))  # |u - v|^2 = 2 (1 - u v)
+    return np.stack([good, best[good]], 1)
 
 
 def _within(a: np.ndarray, b: np.ndarray, radius: float) -> np.ndarray:
