@@ -5,6 +5,7 @@ Local coordinates keep float32 exact to 1e-5 px wherever the window lies in a la
 """
 
 import math
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -18,7 +19,7 @@ FAST = {"contract", "reassoc", "arcp", "nsz"}  # NaN keeps its meaning: it marks
 OK, NO_TEXTURE, EDGE_ONLY, OUTSIDE, LEFT, DIVERGED, NOT_CONVERGED, LOW_SCORE, UNCERTAIN, NOT_UNIQUE, AT_BORDER = range(11)
 
 
-_INNER = {"cache": True, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+_INNER: dict[str, Any] = {"cache": True, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 helper = njit(fastmath=FAST, **_INNER)
 
 

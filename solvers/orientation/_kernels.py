@@ -11,12 +11,15 @@ matrix stays well conditioned at narrow fields and at any size of the ground coo
 Reference: collinearity and scaled orthography as in docs; P3P: Grunert 1841 after Haralick et al. 1994, eq. 9.
 """
 
-import numpy as np
-from numba import njit
+from typing import Any
 
+import numba
+import numpy as np
+
+njit: Any = numba.njit  # its type stubs do not know every option
 FAST = {"reassoc", "contract", "nsz", "arcp"}  # no nnan, no ninf: NaN checks stay alive
 # _nrt=False: nothing in here allocates, and counting references would cost more than the arithmetic
-_SMALL = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+_SMALL: dict[str, Any] = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 kernel = njit(no_cpython_wrapper=True, _nrt=False, **_SMALL)
 fast_kernel = njit(no_cpython_wrapper=True, _nrt=False, fastmath=FAST, **_SMALL)
 python_kernel = njit(_nrt=False, nogil=True, **_SMALL)

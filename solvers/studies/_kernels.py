@@ -3,11 +3,13 @@
 m (3, 3) turns object axes into photo axes, x (3,) is the perspective centre; tangents are (centre, left rotation vector).
 """
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 
-_OPTIONS = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-_INNER = {**_OPTIONS, "no_cpython_wrapper": True}
+_OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+_INNER: dict[str, Any] = {**_OPTIONS, "no_cpython_wrapper": True}
 compiled = njit(**_INNER)
 entry = njit(**_OPTIONS)
 

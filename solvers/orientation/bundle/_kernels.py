@@ -8,9 +8,10 @@ keeping them. Poses are rows X, Y, Z, m11 .. m33; cameras are rows of the ten pa
 
 from typing import Any
 
+import numba
 import numpy as np
-from numba import njit
 
+njit: Any = numba.njit  # its type stubs do not know every option
 FAST = {"reassoc", "contract", "nsz", "arcp"}  # no nnan, no ninf: NaN checks stay alive
 _COMMON: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": FAST, "no_cfunc_wrapper": True}
 kernel = njit(**_COMMON)
