@@ -66,7 +66,8 @@ def match_photos(first: Path | str, second: Path | str, at: tuple[float, float],
         place, shape, how = *guess, "features"
         if not ((place > -0.5) & (place < np.array(b.shape[::-1]) - 0.5)).all():
             raise DegenerateGeometry(f"{second}: it does not show the point of col {at[0]:g}, row {at[1]:g}, which by its "
-                                     f"features would be at col {place[0]:.0f}, row {place[1]:.0f}; choose another point or photo")
+                                     f"features would be at col {place[0]:.0f}, row {place[1]:.0f}; choose another point or "
+                                     "photo")
     reach = search if search is not None else FAR if how == "same pixel" else NEAR
     known = {"method": method, "start": {"col": place[0], "row": place[1], "from": how}, "window": window, "search": reach}
     if method == "ncc":
