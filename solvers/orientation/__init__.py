@@ -1,6 +1,8 @@
-"""Orientation of images: initial values, perspective and orthogonal resection."""
+"""Orientation of images: resection by both models, batches, bundles, georeferencing, intersection, monoplotting, advice."""
 
 from .advisor import Advice, Prediction, advise
+from .batch import ResectMany, Status, resect_many, solve_candidates
+from .bundle import Adjusted, BundleRequest, adjust
 from .corners import CornerControl, Flight, Grade, compare_control, corner_control
 from .flightlog import Offset, match_log
 from .footprint import CORNERS, Footprint, footprint, footprints_geojson
@@ -15,9 +17,10 @@ from .resection import PriorOrientation, Resection
 from .result import Orientation
 from .single import Request, Start, conclude, orient, prepare, resect, resect_orthogonal, rows
 
-__all__ = ["CORNERS", "Advice", "Candidate", "CornerControl", "Flight", "Footprint", "Georeferenced", "Grade", "Heading",
-           "Intersected", "Known", "Leak", "Monoplotted", "ObjectPoint", "Offset", "Orientation", "Oriented", "Orthogonal",
-           "Plane", "Prediction", "PriorOrientation", "Request", "Resection", "Rig", "Start", "Vertical", "advise",
-           "candidates", "check_headings", "compare_control", "conclude", "corner_control", "footprint",
-           "footprints_geojson", "georeference", "height_bias", "intersect", "match_log", "monoplot", "orient", "prepare",
-           "resect", "resect_orthogonal", "rows", "three_points"]
+__all__ = ["CORNERS", "Adjusted", "Advice", "BundleRequest", "Candidate", "CornerControl", "Flight", "Footprint",
+           "Georeferenced", "Grade", "Heading", "Intersected", "Known", "Leak", "Monoplotted", "ObjectPoint", "Offset",
+           "Orientation", "Oriented", "Orthogonal", "Plane", "Prediction", "PriorOrientation", "Request", "ResectMany",
+           "Resection", "Rig", "Start", "Status", "Vertical", "adjust", "advise", "candidates", "check_headings",
+           "compare_control", "conclude", "corner_control", "footprint", "footprints_geojson", "georeference",
+           "height_bias", "intersect", "match_log", "monoplot", "orient", "prepare", "resect", "resect_many",
+           "resect_orthogonal", "rows", "solve_candidates", "three_points"]
