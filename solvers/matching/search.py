@@ -235,7 +235,7 @@ class _Search:
                                  self.photos[i].interior, self.photos[j].interior)
 
     def refine_key(self, i: int, reference: Reference) -> str:
-        parts = [self.feature_key(i), self.options.window, reference.at.tobytes()]
+        parts = [self.feature_key(i), self.options.window, reference.levels, reference.at.tobytes()]
         for t in reference.targets:
             parts += [t.name, t.row.tobytes(), t.start.tobytes(), t.shape.tobytes(), t.search]
         return "refined-" + _digest(*parts)
@@ -305,7 +305,7 @@ def predict(first: np.ndarray, second: np.ndarray, at: np.ndarray, options: TieO
     common = _compare((a, b, None, None), o)
     if not len(common.features):
         return None
-    place, _ = _predicted(common.homography, at[None], a.pixel[common.features[:, 0]], b.pixel[common.features[:, 1]])
+    place, _ = _predicted(common.homography, at[None], a.pixel[common.features[:, 0]], b.pixel[common.features[:, 1]], 1.0)
     return place[0], derivative(common.homography, at[None])[0]
 
 
@@ -343,14 +343,15 @@ def _request(i: int, owned: list[int], tracks: list[Track], photos: Sequence[Tie
         shape = derivative(matrix, at)
         targets.append(Target(photos[j].name, rows, b.pixel[other], shape[rows]))
         known = pair.features if i < j else pair.features[:, ::-1]
-        place, search = _predicted(matrix, at, a.pixel[known[:, 0]], b.pixel[known[:, 1]])
+        place, search = _predicted(matrix, at, a.pixel[known[:, 0]], b.pixel[known[:, 1]], max(a.reduction, b.reduction))
         inside = np.flatnonzero(((place > 0) & (place < np.array(b.size) - 1)).all(1))
         rest = np.setdiff1d(inside, rows)
         targets.append(Target(photos[j].name, rest, place[rest], shape[rest], search))
-    return Reference(photos[i].name, at, tuple(t for t in targets if len(t.row)))
+    levels = tuple(n for n in (1, 2, 4, 8) if n <= 1.5 * a.reduction)  # down to about the picture of the features
+    return Reference(photos[i].name, at, tuple(t for t in targets if len(t.row)), levels)
 
 
-def _predicted(matrix: np.ndarray, at: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, int]:
+def _predicted(matrix: np.ndarray, at: np.ndarray, a: np.ndarray, b: np.ndarray, reduction: float) -> tuple[np.ndarray, int]:
     """(N, 2) px where points `at` should be in the other photo, and how far from there to search: the homography, and the median
     parallax of the nearest matches a, b (M, 2)."""
     from scipy.spatial import KDTree
@@ -359,7 +360,7 @@ def _predicted(matrix: np.ndarray, at: np.ndarray, a: np.ndarray, b: np.ndarray)
     near, around = np.asarray(tree.query(at, count)[1]), np.asarray(tree.query(a, count + 1)[1])
     left = parallax - np.median(parallax[around[:, 1:]], axis=1)
     reach = 1.5 * float(np.percentile(np.linalg.norm(left, axis=1), 80))
-    return apply(matrix, at) + np.median(parallax[near], axis=1), int(np.clip(np.ceil(reach), *_SEARCH))
+    return apply(matrix, at) + np.median(parallax[near], axis=1), int(min(max(reach, reduction * _SEARCH[0]), reduction * _SEARCH[1]))
 
 
 def _as_found(tracks: list[Track], features: dict[int, Features]) -> _Measured:
