@@ -25,7 +25,7 @@ from .tracks import Track, components, join, same_place, thin
 from .verify import Verified, apply, derivative, verify
 
 Pair = tuple[int, int]
-_NEAR, _SEARCH = 6, (4, 16)  # matches that predict a place; px, least and largest search around it
+_NEAR, _SEARCH = 6, (4, 16)  # matches that predict a place; picture px, least and largest search around it
 
 
 class _Common(NamedTuple):
@@ -360,7 +360,8 @@ def _predicted(matrix: np.ndarray, at: np.ndarray, a: np.ndarray, b: np.ndarray,
     near, around = np.asarray(tree.query(at, count)[1]), np.asarray(tree.query(a, count + 1)[1])
     left = parallax - np.median(parallax[around[:, 1:]], axis=1)
     reach = 1.5 * float(np.percentile(np.linalg.norm(left, axis=1), 80))
-    return apply(matrix, at) + np.median(parallax[near], axis=1), int(min(max(reach, reduction * _SEARCH[0]), reduction * _SEARCH[1]))
+    least, most = (reduction * s for s in _SEARCH)
+    return apply(matrix, at) + np.median(parallax[near], axis=1), int(min(max(reach, least), most))
 
 
 def _as_found(tracks: list[Track], features: dict[int, Features]) -> _Measured:
