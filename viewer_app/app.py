@@ -6,7 +6,7 @@ import logging
 import queue
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,8 @@ from .theme import PERSPECTIVE
 PICK_PIXELS = 12.0
 """How far from a point's middle a click still means it, pixels of the screen."""
 LATENCIES = 200
+PATIENCE = 0.04
+"""How long a repaint waits for the chosen image's solutions, which then come in the same picture, seconds."""
 
 
 class App:
@@ -100,19 +102,35 @@ class App:
         while not self._closed.is_set():
             taken = self._take()
             began = time.perf_counter()
-            for action in taken:
-                try:
-                    self._state = update(self._state, action)
-                except Exception as error:
-                    logging.getLogger("collinea").exception("%s", action)
-                    self._state = update(self._state, Say(f"{type(action).__name__} could not be done: {error}"))
+            self._apply(taken)
+            while taken and self._solving() and (left := began + PATIENCE - time.perf_counter()) > 0:
+                with suppress(queue.Empty):
+                    more = self._actions.get(timeout=left)
+                    self._apply([more] if more is not None else [])
+                    taken.append(more)
             if taken:
-                self._paint()
+                with self._jobs.held():
+                    self._paint()
                 self.latencies = [*self.latencies, time.perf_counter() - began][-LATENCIES:]
             for _ in taken:
                 self._actions.task_done()
 
-    def _take(self) -> list[Action]:
+    def _apply(self, taken: Sequence[Action]) -> None:
+        """What the actions make of the state; one that fails is said."""
+        for action in taken:
+            try:
+                self._state = update(self._state, action)
+            except Exception as error:
+                logging.getLogger("collinea").exception("%s", action)
+                self._state = update(self._state, Say(f"{type(action).__name__} could not be done: {error}"))
+
+    def _solving(self) -> bool:
+        """Asks for what is missing; whether the chosen image's own solutions are still to come."""
+        jobs = wanted(self._state)
+        self._jobs.want(jobs)
+        return any(job.image == self._state.image and job.model in MODELS for job in jobs)
+
+    def _take(self) -> list[Any]:
         """All actions that wait; the clock's tick where it plays and nothing happens."""
         playing = self._state.playing
         try:

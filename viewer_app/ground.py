@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from . import theme
@@ -106,10 +108,16 @@ def symbol_size(state: State) -> float:
     low, high = site(state)
     size = 0.016 * float((high - low)[:2].max())
     if 2 <= len(xyz) <= 400:
-        apart = np.linalg.norm(xyz[:, None] - xyz[None], axis=-1) + np.diag(np.full(len(xyz), np.inf))
-        nearest = apart.min(axis=1)
-        size = min(size, max(0.35 * float(np.median(nearest)), 0.2 * size))
+        size = min(size, max(0.35 * _spacing(xyz.tobytes()), 0.2 * size))
     return size
+
+
+@lru_cache(maxsize=8)
+def _spacing(xyz: bytes) -> float:
+    """Median distance (m) to the nearest neighbour of points (n, 3), given as bytes so that they are kept."""
+    p = np.frombuffer(xyz).reshape(-1, 3)
+    apart = np.linalg.norm(p[:, None] - p[None], axis=-1) + np.diag(np.full(len(p), np.inf))
+    return float(np.median(apart.min(axis=1)))
 
 
 def points(state: State) -> Scene:

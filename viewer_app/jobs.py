@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from solvers import PhotogrammetryError
@@ -28,6 +29,7 @@ class Jobs:
         self._wanted: tuple[Job, ...] = ()
         self._finished: set[tuple[str, str, int]] = set()
         self._change = threading.Condition()
+        self._held = False
         self._closed = False
         self._last: Start | None = None  # its candidates serve the image's other models
         self._thread = threading.Thread(target=self._work, name="collinea-jobs", daemon=True)
@@ -39,6 +41,18 @@ class Jobs:
             self._wanted = jobs
             self._finished &= {job.key for job in jobs}
             self._change.notify()
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """No new job begins meanwhile: what is being painted has the processor to itself."""
+        with self._change:
+            self._held = True
+        try:
+            yield
+        finally:
+            with self._change:
+                self._held = False
+                self._change.notify()
 
     def close(self) -> None:
         with self._change:
@@ -55,7 +69,7 @@ class Jobs:
             while True:
                 if self._closed:
                     return None
-                for job in self._wanted:
+                for job in () if self._held else self._wanted:
                     if job.key not in self._finished:
                         return job
                 self._change.wait()
