@@ -51,7 +51,8 @@ def block(m: int, points_per_image: int = 200) -> dict[str, Any]:
              for v in range(lines) for u in range(each)][:across]
     plan = np.array(grid)
     centres = plan[:, :3] + rng.normal(0, [1.5, 1.5, 1.0], (m, 3))
-    ms = [rotation(*np.radians(rng.normal(0, 2.5, 2)), k + np.radians(rng.normal(0, 4))) for k in plan[:, 3]]
+    tilts = np.radians(rng.normal(0, 2.5, (m, 2)))
+    ms = [rotation(o, p, k + np.radians(rng.normal(0, 4))) for (o, p), k in zip(tilts, plan[:, 3], strict=True)]
     n = m * points_per_image
     xyz = np.column_stack([rng.uniform(-0.3 * wide, size[0] + 0.3 * wide, n), rng.uniform(-0.3 * high, size[1] + 0.3 * high, n),
                            np.zeros(n)])
@@ -67,9 +68,9 @@ def block(m: int, points_per_image: int = 200) -> dict[str, Any]:
 
 def _seen(centres: np.ndarray, ms: list[np.ndarray], xyz: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
     """Image, point and pixel of the observations, sorted by point and image."""
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
-    tree, found = cKDTree(xyz[:, :2]), []
+    tree, found = KDTree(xyz[:, :2]), []
     for i, (r, c) in enumerate(zip(ms, centres, strict=True)):
         near = np.array(tree.query_ball_point(c[:2], c[2] * 0.45))
         uvw = (xyz[near] - c) @ r.T
@@ -110,7 +111,7 @@ def run_ours(b: dict[str, Any], threads: int, free: tuple[str, ...], covariance:
                       np.zeros((n, 3)),
                       n, (None,) * m)
         compiled = Compiled(net, threads)
-        compiled.pattern, compiled.lut  # noqa: B018  (the analysis belongs to the building)
+        _ = compiled.pattern, compiled.lut  # the analysis belongs to the building
         poses = b["poses"].copy()
         poses[:, :3] -= middle
         return Bundle(net, None, compiled), net.pack(poses, START.parameters[None], (b["xyz"] - middle)[order])

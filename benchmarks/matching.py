@@ -28,8 +28,9 @@ CASES = {  # turn deg, scale, shear, gain, offset, noise (grey values)
 
 
 def scene(path: Path) -> np.ndarray:
-    grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE).astype(np.float32)
-    return cv2.GaussianBlur(grey, (0, 0), LENS * SCALE)
+    grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    assert grey is not None, path
+    return cv2.GaussianBlur(grey.astype(np.float32), (0, 0), LENS * SCALE)
 
 
 def photograph(fine: np.ndarray, warp: np.ndarray, shape: tuple[int, int], steps: int = 6) -> np.ndarray:
@@ -117,7 +118,8 @@ def ecc(p: Pair, start: np.ndarray, blur: int) -> tuple[np.ndarray, np.ndarray]:
         patch = p.right[y0 : sy + reach + 1, x0 : sx + reach + 1]
         template = p.left[ty - HALF : ty + HALF + 1, tx - HALF : tx + HALF + 1]
         try:
-            score, warp = cv2.findTransformECC(template, patch, warp, cv2.MOTION_AFFINE, stop, None, blur)
+            everywhere = np.full(patch.shape, 255, np.uint8)
+            score, warp = cv2.findTransformECC(template, patch, warp, cv2.MOTION_AFFINE, stop, everywhere, blur)
         except cv2.error:
             continue
         out[i], ok[i] = warp @ [HALF, HALF, 1] + [x0, y0], score > 0.5
@@ -170,7 +172,7 @@ def accuracy(scenes: list[np.ndarray]) -> None:
             error, ok, sigma, best = [], [], [], np.inf
             for p in pairs:
                 start = around(p.truth, 0.5)
-                method(p, start)  # warm
+                answer = method(p, start)  # warm
                 for _ in range(3):
                     clock = time.process_time()
                     answer = method(p, start)
