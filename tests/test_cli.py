@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from solvers import cli, simulation, workflows
+from solvers import cli_project, simulation, workflows
 from solvers.cli import main
 from solvers.io import load_trace, read_project, read_truth, write_project
 from tests.projects import AT, good_block
@@ -63,7 +63,7 @@ def test_usage_errors_exit_with_2(words: list[str], capsys: pytest.CaptureFixtur
 
 def test_no_command_is_the_demo(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[Any] = []
-    monkeypatch.setattr(cli, "_demo", lambda args: seen.append(args) or 0)
+    monkeypatch.setattr(cli_project, "_demo", lambda args: seen.append(args) or 0)
     assert main([]) == 0 and main(["--no-browser", "--port", "8123"]) == 0 and main(["demo"]) == 0
     assert [a.port for a in seen] == [0, 8123, 0] and [a.no_browser for a in seen] == [False, True, False]
 
@@ -242,7 +242,7 @@ def test_refusal_as_a_user_sees_it(site: Path) -> None:
 
 
 def test_every_simulation_is_offered() -> None:
-    from solvers.cli import SIMULATIONS
+    from solvers.cli_project import SIMULATIONS
     from solvers.simulation import KINDS
 
     assert set(SIMULATIONS) == set(KINDS)

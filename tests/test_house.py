@@ -36,9 +36,9 @@ HEAVY = ("numba", "viser", "rerun", "rasterio", "trimesh", "cv2", "scipy", "matp
 
 
 def room(path: Path) -> str:
-    """The room of a file of `solvers`: its folder, or its own name at the top; workflows_x.py belongs to workflows."""
+    """The room of a file of `solvers`: its folder, or its own name at the top; workflows_x.py belongs to workflows, and so on."""
     name = path.relative_to(ROOT / "solvers").with_suffix("").parts[0]
-    return name.split("_")[0] if name.startswith(("workflows_", "report_")) else name
+    return name.split("_")[0] if name.startswith(("workflows_", "report_", "cli_")) else name
 
 
 def imported(path: Path, top_level_only: bool = False) -> Iterator[tuple[str, int]]:

@@ -1,0 +1,142 @@
+"""The commands around a project: demo, init, view, simulate, study, log."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import sys
+from pathlib import Path
+from typing import Any
+
+from .cli_parts import PROG, Parser, add_command, count, emit, positive
+
+SIMULATIONS = ("uav_cluster", "ono_stereo", "ono_triplet", "field_long_range", "uav_block", "calibration_plate")
+
+
+def add(commands: Any) -> None:
+    """Their options."""
+    demo = add_command(commands, "demo", _demo, "open the viewer on the demo project")
+    _viewer_options(demo)
+
+    init = add_command(commands, "init", _init, "make a project from photos and a list of control points")
+    init.add_argument("files", nargs="+", metavar="FILE", help="photos (or folders of photos) and one GCPS.csv or gcp_list.txt")
+    init.add_argument("-o", "--output", required=True, metavar="PROJECT", help="folder of the new project")
+    init.add_argument("--map", metavar="MAP",
+                      help="columns of the list by name or number: name=ID,X=East,Y=North,Z=H[,image=..,col=..,row=..]")
+    init.add_argument("--crs", help="coordinate system of the project: EPSG:CODE or local")
+    init.add_argument("--pixel-origin", choices=("center", "corner"),
+                      help="what pixel (0, 0) of the list is, of the top-left pixel")
+    init.add_argument("--pixel-um", type=positive, metavar="P", help="pixel size in micrometres, where EXIF does not tell it")
+    init.add_argument("--c-mm", type=positive, metavar="C", help="principal distance in mm, where EXIF does not tell it")
+
+    view = add_command(commands, "view", _view, "open a project in the viewer")
+    view.add_argument("project", metavar="PROJECT")
+    _viewer_options(view)
+
+    simulate = add_command(commands, "simulate", _simulate, "make a project with known truth")
+    simulate.add_argument("kind", metavar="KIND", choices=SIMULATIONS, help=" | ".join(SIMULATIONS))
+    simulate.add_argument("-o", "--output", required=True, metavar="FOLDER")
+    simulate.add_argument("--seed", type=int, default=0, help="of the random numbers (default: 0)")
+    simulate.add_argument("--reduction", type=int, choices=range(1, 17), default=4, metavar="N",
+                          help="photos N times smaller (default: 4)")
+
+    from .studies import KINDS
+
+    study = add_command(commands, "study", _study, "compare models honestly: tables, figures and a page of plain words")
+    study.add_argument("kind", metavar="KIND", choices=tuple(KINDS), help="; ".join(f"{k}: {v}" for k, v in KINDS.items()))
+    study.add_argument("-o", "--output", required=True, metavar="FOLDER")
+    study.add_argument("--runs", type=count, metavar="N", help="draws of every case (default: a few minutes' worth)")
+
+    log = add_command(commands, "log", _log, "open the recording of a run in rerun's web viewer on 127.0.0.1")
+    log.add_argument("project", metavar="PROJECT|RUN")
+    log.add_argument("--no-browser", action="store_true", help="only print the address")
+
+
+def _demo(args: argparse.Namespace) -> int:
+    from .io import demo_copy
+
+    return _open_viewer(args, demo_copy())
+
+
+def _view(args: argparse.Namespace) -> int:
+    from .io import read_project
+
+    folder = Path(args.project)
+    read_project(folder)
+    return _open_viewer(args, folder)
+
+
+def _open_viewer(args: argparse.Namespace, folder: Path) -> int:
+    from viewer_app.app import run
+
+    emit(args, {"project": str(folder), "host": args.host, "port": args.port}, "")
+    out = sys.stderr if args.json == "-" else sys.stdout  # JSON stands alone on standard output
+    with contextlib.redirect_stdout(out), contextlib.suppress(KeyboardInterrupt):  # Ctrl+C is how a person ends it
+        run(folder, host=args.host, port=args.port, open_browser=not args.no_browser, token=args.token)
+    return 0
+
+
+def _init(args: argparse.Namespace) -> int:
+    from .workflows import init_project
+
+    ask = _ask if sys.stdin.isatty() and sys.stderr.isatty() else None
+    made = init_project(args.files, args.output, mapping=args.map, project_crs=args.crs, pixel_origin=args.pixel_origin,
+                        pixel_um=args.pixel_um, c_mm=args.c_mm, ask=ask)
+    block = made.block
+    text = "\n".join([*made.notes, f"{made.folder}: {len(block.images)} images, {len(block.points)} points, "
+                                   f"{len(block.observations)} observations in {block.crs}",
+                      f"next: {PROG} view {made.folder}"])
+    return emit(args, made.to_json(), text)
+
+
+def _simulate(args: argparse.Namespace) -> int:
+    from .workflows import simulate_project
+
+    block = simulate_project(args.kind, args.output, seed=args.seed, reduction=args.reduction)
+    value = {"project": args.output, "kind": args.kind, "seed": args.seed, "images": [i.name for i in block.images],
+             "points": len(block.points), "observations": len(block.observations)}
+    return emit(args, value,
+                 f"{args.output}: {len(block.images)} images, {len(block.points)} points\nnext: {PROG} view {args.output}")
+
+
+def _study(args: argparse.Namespace) -> int:
+    from .studies import run
+
+    shown = sys.stderr.isatty()
+
+    def progress(line: str) -> None:
+        if not args.quiet:
+            print(f"\r\033[K{line}" if shown else line, end="" if shown else "\n", file=sys.stderr, flush=True)
+
+    files = run(args.kind, Path(args.output), args.runs, progress)
+    if shown:
+        progress("")
+    return emit(args, {"study": args.kind, "files": [str(f) for f in files]}, f"{files[-1]}: {len(files)} files written")
+
+
+def _log(args: argparse.Namespace) -> int:
+    from viewer_app.rerun_server import open_log
+
+    from .workflows import recording_of
+
+    recording = recording_of(args.project)
+    emit(args, {"recording": str(recording)}, "")
+    with contextlib.suppress(KeyboardInterrupt):  # Ctrl+C is how a person ends it
+        open_log(recording, open_browser=not args.no_browser)
+    return 0
+
+
+def _viewer_options(command: Parser) -> None:
+    command.add_argument("--host", default="127.0.0.1", help="address to listen on (default: 127.0.0.1)")
+    command.add_argument("--port", type=int, default=0, help="port to listen on (default: a free one)")
+    command.add_argument("--no-browser", action="store_true", help="only print the address")
+    command.add_argument("--token", help="a word that visitors must know (default: a new one)")
+
+
+def _ask(question: str) -> str:
+    """Ask the person at the terminal; the question goes to standard error, so that JSON on standard output stays clean."""
+    print(question, end="", file=sys.stderr, flush=True)
+    try:
+        return input()
+    except EOFError:
+        return ""
