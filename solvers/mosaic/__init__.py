@@ -1,0 +1,5 @@
+"""Mosaics: plane coefficients, registration, orthorectification, composition."""
+
+from .registration import Registration
+
+__all__ = ["Registration"]
