@@ -14,7 +14,7 @@ from .mosaic import Registration
 
 @dataclass(frozen=True)
 class ComposeRequest:
-    """How a mosaic is composed. surface: "plane" or a DEM's file; gsd [m], None: from the photos; memory [GB], None: as needed."""
+    """How a mosaic is composed. surface: "plane" or a DEM's file; gsd [m], None: of the photos; memory [GB], None: as needed."""
 
     surface: str = "plane"
     gsd: float | None = None

@@ -16,7 +16,7 @@ from .workflows_compose import ComposeRequest, compose_photos
 
 @dataclass(frozen=True)
 class MosaicRequest:
-    """How a mosaic is made. kind None: the highest level that the data allow; crs: of a folder of photos, None: their UTM zone."""
+    """How a mosaic is made. kind None: the best that the data allow; crs: of a folder of photos, None: their UTM zone."""
 
     kind: Level | None = None
     register: Method = "simultaneous"
