@@ -16,6 +16,7 @@ from ..single import given_prior
 from .network import Network
 
 Datum = Literal["control", "prior", "both", "free"]
+Begin = Literal["auto", "resection", "dlt", "affine", "prior", "relative"]
 
 
 @dataclass(frozen=True)
@@ -26,13 +27,14 @@ class BundleRequest:
     "free" (inner constraints on the points whose coordinates are given, on all where fewer than three are).
     free: interior parameters adjusted, for every camera, or for each by name. loss: "huber", "cauchy" or "danish", None for
     least squares. start: how to begin: "auto" (resection, then over tie points, then priors, then a relative orientation),
-    or only "resection", "prior" or "relative". compiled: None lets the size decide.
+    or only "resection", "dlt" or "affine" (the linear models over control), "prior" or "relative". compiled: None lets the size
+    decide.
     """
 
     datum: Datum = "control"
     free: tuple[str, ...] | dict[str, tuple[str, ...]] = ()
     loss: str | None = None
-    start: Literal["auto", "resection", "prior", "relative"] = "auto"
+    start: Begin = "auto"
     images: tuple[str, ...] | None = None
     compiled: bool | None = None
 

@@ -12,6 +12,7 @@ from ...cameras import project
 from ...errors import DegenerateGeometry
 from ...geometry import Exterior, from_opencv
 from ..initial import candidates
+from ..linear_models import affine, direct_linear_transformation
 from ..rays import Intersection
 from .datum import similarity
 from .given import Given
@@ -30,9 +31,10 @@ def start(data: Given) -> tuple[dict[int, Exterior], np.ndarray, list[str]]:
     how, known, said = data.request.start, data.approximate, []
     images = [int(i) for i in np.unique(data.image)]
     poses: dict[int, Exterior] = {}
-    if how in ("auto", "resection"):
+    if how in ("auto", "resection", "dlt", "affine"):
         least = 4 if data.request.datum != "free" else 6
-        poses = {i: e for i in images if (e := _resected(data, i, known, least)) is not None}
+        first = _LINEAR.get(how, _resected)
+        poses = {i: e for i in images if (e := first(data, i, known, least)) is not None}
         if poses:
             _grow(data, poses, images, known)
     if how == "prior" or (how == "auto" and len(poses) < len(images)):
@@ -90,6 +92,46 @@ def _resected(data: Given, image: int, xyz: np.ndarray, least: int) -> Exterior 
         return None
     found = candidates(at - mean, interior.ideal(data.pixels[rows]), interior.c)
     return found[0].exterior.shifted(-mean) if found else None
+
+
+def _by_dlt(data: Given, image: int, xyz: np.ndarray, least: int) -> Exterior | None:
+    """The camera behind a direct linear transformation, None where it cannot be."""
+    rows, at, mean = _chosen(data, image, xyz)
+    if len(rows) < max(6, least):
+        return None
+    try:
+        found = direct_linear_transformation(at - mean, data.camera(image).photo(data.pixels[rows])).exterior
+    except (DegenerateGeometry, np.linalg.LinAlgError):
+        return None
+    return found.shifted(-mean) if (found.camera(at - mean)[:, 2] < 0).all() else None
+
+
+def _by_affine(data: Given, image: int, xyz: np.ndarray, least: int) -> Exterior | None:
+    """The orientation behind an affine model: parallel rays, at the distance its scale says (FORMULAS section 3.5)."""
+    rows, at, mean = _chosen(data, image, xyz)
+    if len(rows) < max(4, least):
+        return None
+    interior = data.camera(image)
+    try:
+        found = affine(at - mean, interior.ideal(data.pixels[rows]))
+    except DegenerateGeometry:
+        return None
+    u, s, vt = np.linalg.svd(found.a[:, :3], full_matrices=False)
+    m, scale = u @ vt, float(s.mean())
+    m = np.vstack([m, np.cross(m[0], m[1])])
+    centre = found.mean - m.T @ np.array([*found.a[:, 3] / scale, -interior.c / scale])
+    return Exterior(m, centre + mean)
+
+
+def _chosen(data: Given, image: int, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Observations of known points in an image, the points, and their mean."""
+    rows = data.seen_in(image)
+    rows = rows[np.isfinite(xyz[data.point[rows]]).all(axis=1)]
+    at = xyz[data.point[rows]]
+    return rows, at, at.mean(axis=0) if len(at) else np.zeros(3)
+
+
+_LINEAR = {"dlt": _by_dlt, "affine": _by_affine}
 
 
 def _grow(data: Given, poses: dict[int, Exterior], images: list[int], known: np.ndarray) -> None:

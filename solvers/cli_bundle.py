@@ -1,0 +1,76 @@
+"""The commands that adjust blocks: adjust, calibrate."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from .cli_parts import Parser, add_command, emit, names
+
+LOSSES = ("huber", "cauchy", "danish")
+
+
+def add(commands: Any) -> None:
+    """Their options."""
+    adjust = add_command(commands, "adjust", _adjust, "bundle adjustment of all images of a project together")
+    _options(adjust)
+    adjust.add_argument("--bal", metavar="FILE", help="instead of a project: a problem of bundle adjustment in the large")
+
+    calibrate = add_command(commands, "calibrate", _calibrate, "calibrate cameras: adjust with all ten interior parameters free")
+    _options(calibrate, "all")
+
+
+def _options(command: Parser, free: str = "none") -> None:
+    command.add_argument("project", metavar="PROJECT", nargs="?")
+    command.add_argument("--image", action="extend", nargs="+", default=[], metavar="N", help="only these images (default: all)")
+    command.add_argument("--model", choices=("perspective", "orthogonal"), default="perspective")
+    command.add_argument("--datum", choices=("control", "free", "prior", "both"), default="control",
+                         help="what gives place, attitude and scale: control points; inner constraints; GPS/IMU priors; control "
+                              "and priors (default: control)")
+    command.add_argument("--free", type=_free, default=free, metavar="none|all|c,xp,yp,k1,...",
+                         help=f"interior parameters to adjust (default: {free})")
+    command.add_argument("--start", choices=("auto", "resection", "dlt", "affine", "relative", "prior"), default="auto",
+                         help="where the start values come from (default: auto, whatever the project offers)")
+    command.add_argument("--robust", action="store_true", help="down-weight blunders and name them")
+    command.add_argument("--loss", choices=LOSSES, default="danish", help="how --robust does it (default: danish)")
+
+
+def _free(text: str) -> tuple[str, ...]:
+    from .cameras import PARAMETERS
+
+    if text in ("none", "all"):
+        return PARAMETERS if text == "all" else ()
+    return names(text)
+
+
+def _request(args: argparse.Namespace) -> dict[str, Any]:
+    return {"datum": args.datum, "free": _free(args.free) if isinstance(args.free, str) else args.free, "start": args.start,
+            "loss": args.loss if args.robust else None, "images": tuple(args.image) or None}
+
+
+def _adjust(args: argparse.Namespace) -> int:
+    from viewer_app.rerun_bundle import record_bundle
+
+    from .report_bundle import adjusted_text
+    from .workflows_bundle import adjust_project
+
+    done = adjust_project(_where(args), "adjust", record_bundle, **_request(args))
+    return emit(args, done.to_json(), adjusted_text(done))
+
+
+def _calibrate(args: argparse.Namespace) -> int:
+    from viewer_app.rerun_bundle import record_bundle
+
+    from .report_bundle import calibrated_text
+    from .workflows_bundle import adjust_project
+
+    done = adjust_project(_where(args), "calibrate", record_bundle, **_request(args))
+    return emit(args, done.to_json(), calibrated_text(done))
+
+
+def _where(args: argparse.Namespace) -> str:
+    from .errors import BadProject
+
+    if args.project is None:
+        raise BadProject("which project? give its folder: collinea adjust PROJECT")
+    return args.project

@@ -1,0 +1,64 @@
+"""The walks around a block: adjust it, calibrate its cameras."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .adjustment import Trace, iterate
+from .block import Block
+from .errors import DegenerateGeometry
+from .io import new_run, read_project, save_trace, write_json
+from .orientation import Adjusted, BundleRequest
+from .orientation.bundle import BundleStart, conclude_bundle, prepare_bundle
+
+BundleRecorder = Callable[[Path, Block, Adjusted], object]
+"""record(path, block, adjusted): writes recording.rrd."""
+
+
+class AdjustedProject(NamedTuple):
+    """An adjusted block and the run it left."""
+
+    block: Block
+    result: Adjusted
+    run: Path | None
+
+    def to_json(self) -> dict[str, Any]:
+        """The JSON of the commands adjust and calibrate."""
+        return {**self.result.to_json(), "run": None if self.run is None else str(self.run)}
+
+
+def adjust_project(folder: Path | str, command: str = "adjust", recorder: BundleRecorder | None = None,
+                   **options: Any) -> AdjustedProject:
+    """Adjust all images of a project together and leave a run: trace, result.json, recording.rrd.
+
+    options: as in `BundleRequest`. Raises PhotogrammetryError; then no run is left.
+    """
+    folder = Path(folder)
+    block = read_project(folder)
+    result = adjust_block(block, **options)
+    run = new_run(folder, command)
+    try:
+        save_trace(result.trace, run)
+        if recorder is not None:
+            recorder(run / "recording.rrd", block, result)
+        done = AdjustedProject(block, result, run)
+        write_json(run / "result.json", done.to_json())
+    except BaseException:
+        shutil.rmtree(run, ignore_errors=True)
+        raise
+    return done
+
+
+def adjust_block(block: Block, **options: Any) -> Adjusted:
+    """Prepare, iterate, conclude. Raises PhotogrammetryError, also where numbers run out of range."""
+    try:
+        start: BundleStart = prepare_bundle(block, BundleRequest(**options))
+        return conclude_bundle(start, Trace(tuple(iterate(start.problem, start.x0, start.options)), start.manifest))
+    except np.linalg.LinAlgError as error:
+        raise DegenerateGeometry(f"{block.name}: the numbers do not fit together ({error}); look for a point, a pixel or a "
+                                 "camera value that is wrong by far, or try --robust") from None
