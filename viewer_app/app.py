@@ -6,7 +6,7 @@ import logging
 import queue
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -14,24 +14,17 @@ from typing import Any
 import numpy as np
 import viser
 
-from solvers import PhotogrammetryError, Unsupported
+from solvers import Unsupported
 
-from . import export
-from .actions import Action, Aim, ChooseImage, GoTo, Plot, Say, SwitchPoint, Tick, UseBox, update
+from .actions import Action, Say, Tick, update
 from .bridge import LOCAL_HOSTS, Wire, open_server
 from .home import home
 from .jobs import Jobs
-from .loading import bring, crop, open_project
+from .loading import bring, open_project
 from .paint_viser import Painter
-from .panels.compare import ComparePanel
-from .panels.orientation import OrientationPanel
-from .panels.photo import PhotoPanel, magnified, nudged
-from .panels.project import ProjectPanel, ScenePanel
-from .panels.rerun import RerunPanel
-from .panels.trace import TracePanel
 from .picking import pick
-from .scene import scene
 from .state import MODELS, State, wanted
+from .tabs import Command, Desk, Panel, tabs, wanted_tasks, whole_scene
 from .theme import PERSPECTIVE
 
 PICK_PIXELS = 12.0
@@ -58,7 +51,7 @@ class App:
         self.url = f"http://{host}:{self.port}/" + (f"?token={token}" if token else "")
         self._jobs = Jobs(self.emit)
         self._painter = Painter(self.server)
-        self._panels: list[Any] = []
+        self._panels: list[Panel] = []
         self._build()
         self._home_opens = True  # until everything was solved once, what is found widens the first view
         self._closed, self._first = threading.Event(), threading.Event()
@@ -78,7 +71,7 @@ class App:
 
     def settled(self) -> bool:
         """Whether every action was taken, everything read and nothing is left to solve."""
-        return self._actions.unfinished_tasks == 0 and not self._reader.is_alive() and not wanted(self._state)
+        return self._actions.unfinished_tasks == 0 and not self._reader.is_alive() and not wanted_tasks(self._state)
 
     def close(self) -> None:
         self._closed.set()
@@ -87,7 +80,8 @@ class App:
         self._loop.join(timeout=10)
         self._reader.join(timeout=10)
         self._jobs.close()
-        self._rerun.close()
+        for panel in self._panels:
+            getattr(panel, "close", lambda: None)()
         self.server.stop()
 
     def __enter__(self) -> App:
@@ -126,8 +120,8 @@ class App:
 
     def _solving(self) -> bool:
         """Asks for what is missing; whether the chosen image's own solutions are still to come."""
+        self._jobs.want(wanted_tasks(self._state))
         jobs = wanted(self._state)
-        self._jobs.want(jobs)
         return any(job.image == self._state.image and job.model in MODELS for job in jobs)
 
     def _take(self) -> list[Any]:
@@ -147,15 +141,15 @@ class App:
     def _paint(self) -> None:
         """Ask for what is missing, then show the state: scene and panels in one block."""
         state = self._state
+        self._jobs.want(wanted_tasks(state))
         jobs = wanted(state)
-        self._jobs.want(jobs)
         if not any(job.image == state.image and job.model in MODELS for job in jobs):
             self._first.set()
         if self._home_opens:
             self._look()
             self._home_opens = bool(jobs)
         with self.server.atomic():
-            self._painter.paint(scene(state))
+            self._painter.paint(whole_scene(state))
             for panel in self._panels:
                 panel.draw(state)
             self._theme(state.view.dark)
@@ -182,40 +176,33 @@ class App:
         self._dark: bool | None = None
         gui.set_panel_label("Collinea")
         self._wire = Wire(server, self._heard)
-        self._rerun = RerunPanel(gui, self.emit, lambda: self._state)
+        self._desk = Desk(gui, server, self.emit, self._wire, lambda: self._state)
         self._tabs(gui)
         clicked: Any = self._clicked  # viser takes coroutines here too
         server.scene.on_click()(clicked)
 
     def _tabs(self, gui: viser.GuiApi) -> None:
-        tabs = gui.add_tab_group()
-        with tabs.add_tab("Orientation"):
-            self._panels.append(OrientationPanel(gui, self.emit, self._wire, self._state))
-        with tabs.add_tab("Compare"):
-            self._panels.append(ComparePanel(gui, self.emit))
-        with tabs.add_tab("Project"):
-            self._panels.append(ProjectPanel(gui, self.emit, self._wire, self._ways()))
+        """Every tab in its place, and every command in the palette."""
+        side, below = gui.add_tab_group(), gui.add_panel()
+        for tab in tabs():
+            with (side if tab.place == "side" else below).add_tab(tab.name):
+                self._panels.append(tab.make(self._desk))
+            for command in tab.commands:
+                self._command(gui, command)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(410)
-        below = gui.add_panel()
-        with below.add_tab("Iterations"):
-            self._panels.append(TracePanel(gui, self.emit, self._wire))
-        with below.add_tab("Photo"):
-            self._panels.append(PhotoPanel(gui, self.emit, self._wire, crop))
-        with below.add_tab("Scene"):
-            self._panels.append(ScenePanel(gui, self.emit))
         below.float(x=12, y=-12, width=430)
 
-    def _ways(self) -> dict[str, tuple[str, Callable[[viser.ClientHandle | None], None]]]:
-        return {
-            "Open in rerun": ("The run of every image with rerun's own timeline, in a panel beside the scene.", self._rerun.open),
-            "Save project": ("Write points, observations and project.toml into the project folder.", self._save),
-            "Scene as GLB": (
-                "Download what is shown as binary glTF, in metres of the scene's origin.",
-                lambda c: self._download(c, "glb"),
-            ),
-            "Scene as PLY": ("Download terrain, planes and frustums as one coloured mesh.", lambda c: self._download(c, "ply")),
-        }
+    def _command(self, gui: viser.GuiApi, command: Command) -> None:
+        key: Any = command.key or None
+        modifier: Any = command.modifier
+        handle = gui.add_command(command.label, description=command.hint or None, hotkey=key, modifier=modifier)
+
+        @handle.on_trigger
+        async def _(_: Any) -> None:
+            act = command.act
+            if (action := act if isinstance(act, Action) else act(self._state)) is not None:
+                self.emit(action)
 
     def _look(self) -> None:
         """Look at all there is; who has moved already keeps the own view."""
@@ -236,55 +223,19 @@ class App:
             self.server.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False, brand_color=PERSPECTIVE)
 
     def _heard(self, kind: str, value: Any) -> None:
-        """What came through the wire; anyone who can open the page can send anything, so it is checked again."""
-        state = self._state
-        if kind == "point" and isinstance(value, str):
-            self.emit(SwitchPoint(value))
-        elif kind == "image" and isinstance(value, str):
-            self.emit(ChooseImage(value))
-        elif kind == "row" and isinstance(value, str) and value.isdecimal() and len(value) < 7:
-            self.emit(GoTo(int(value)))
-        elif kind == "nudge" and isinstance(value, str):
-            if (at := nudged(state, state.assets.photos.get(state.image), value)) is not None:
-                self.emit(Aim(*at))
-        elif kind in ("photo", "photo-box") and isinstance(value, tuple) and state.block.images:
-            camera = state.block.camera_of(state.image)
-            at = [v * size - 0.5 for v, size in zip(value, (camera.width, camera.height) * 2, strict=False)]
-            if kind == "photo-box" and len(at) == 4:
-                self.emit(UseBox(*at))
-            elif kind == "photo" and len(at) == 2:
-                self.emit(Plot(*at) if state.click == "monoplot" else Aim(*at))
-        elif kind == "magnifier" and isinstance(value, tuple) and len(value) == 2 and state.mark is not None:
-            if (photo := state.assets.photos.get(state.image)) is not None:
-                self.emit(Aim(*magnified(state, photo, *value)))
+        """What came through the wire; anyone who can open the page can send anything: the tabs check it again."""
+        for tab in tabs():
+            if (heard := tab.heard.get(kind)) is not None and (action := heard(self._state, value)) is not None:
+                self.emit(action)
 
     async def _clicked(self, event: viser.SceneClickEvent) -> None:
         camera = event.client.camera
         tolerance = PICK_PIXELS * camera.fov / max(camera.image_height, 1)
-        action = pick(self._state, np.array(event.ray_origin), np.array(event.ray_direction), tolerance)
+        ray = np.array(event.ray_origin), np.array(event.ray_direction), tolerance
+        meanings = [*(tab.click for tab in tabs() if tab.click), pick]
+        action = next((a for meant in meanings if (a := meant(self._state, *ray)) is not None), None)
         if action is not None:
             self.emit(action)
-
-    def _save(self, client: viser.ClientHandle | None) -> None:
-        from solvers.io import write_project
-
-        state = self._state
-        if state.assets.folder is None:
-            self.emit(Say("This project has no folder; open one with collinea view PROJECT."))
-            return
-        try:
-            write_project(state.block, state.assets.folder)
-        except (PhotogrammetryError, OSError) as error:
-            self.emit(Say(f"The project was not saved: {error}"))
-            return
-        self.emit(Say(f"Saved in {state.assets.folder}."))
-
-    def _download(self, client: viser.ClientHandle | None, kind: str) -> None:
-        if client is None:
-            return
-        data = (export.glb if kind == "glb" else export.ply)(scene(self._state))
-        name = "".join(c if c.isalnum() or c in "-_" else "_" for c in self._state.block.name) or "scene"
-        client.send_file_download(f"{name}.{kind}", data)
 
 
 def run(

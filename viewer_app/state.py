@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -25,6 +25,8 @@ PRIORS = ("none", "initial", "weighted")
 FORMS = ("depth", "printed")
 HISTORY = 200
 """Edits that can be undone."""
+Room = TypeVar("Room")
+"""A tab's own value: a frozen dataclass whose fields all have defaults."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,13 +97,21 @@ class Solution:
 
 @dataclass(frozen=True, eq=False)
 class Work:
-    """What edits change and undo brings back. off: points switched off. A solution is fresh when its revision is this one."""
+    """What edits change and undo brings back. off: points switched off. A solution is fresh when its revision is this one.
+
+    rooms: values of tabs that are edited with the rest, by their type.
+    """
 
     block: Block
     off: frozenset[str] = frozenset()
     settings: Settings = Settings()
     revision: int = 0
     solutions: Mapping[tuple[str, str], Solution] = field(default_factory=dict)
+    rooms: Mapping[type, Any] = field(default_factory=dict)
+
+    def room(self, kind: type[Room]) -> Room:
+        """A tab's own edited value; its defaults before anything was said."""
+        return self.rooms.get(kind) or kind()
 
 
 @dataclass(frozen=True)
@@ -167,6 +177,15 @@ class State:
     next_revision: int = 1
     past: tuple[Work, ...] = ()
     future: tuple[Work, ...] = ()
+    rooms: Mapping[type, Any] = field(default_factory=dict)  # values of tabs that no undo touches, by their type
+
+    def room(self, kind: type[Room]) -> Room:
+        """A tab's own value; its defaults before anything was said."""
+        return self.rooms.get(kind) or kind()
+
+    def with_room(self, value: Any) -> State:
+        """The state with a tab's own value changed; what undo should bring back goes through `acting.edit_room` instead."""
+        return replace(self, rooms={**self.rooms, type(value): value})
 
     @property
     def block(self) -> Block:

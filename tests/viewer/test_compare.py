@@ -15,9 +15,9 @@ from tests.viewer.conftest import CAMERA, make_block, make_state
 from viewer_app import theme
 from viewer_app.actions import Plot, Show, Solved, Step, UsePoints, update
 from viewer_app.app import App
-from viewer_app.jobs import request
 from viewer_app.panels.compare import chosen_group, errors_table, predicted, solutions_table
 from viewer_app.scene import scene
+from viewer_app.solving import request
 from viewer_app.spots import ellipse, ground_of, plotted
 from viewer_app.state import ADVICE, COMPARED, MODELS, ONE_PASS, PRINTED, WITH_PRIOR, State, wanted
 from viewer_app.values import Segments, dashed

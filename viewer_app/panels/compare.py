@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import viser
 
 from ..actions import Show, UseOnly, UsePoints
 from ..scene import COLOURS, sight
 from ..state import ADVICE, COMPARED, ONE_PASS, WITH_PRIOR, State
+from ..tabs import Desk, Tab
 from .tables import KEYS, orientation_values
-from .widgets import BOX, MUTED, Emit, Html, bind, decimals, esc, prop, put, swatch, table
+from .widgets import BOX, MUTED, Html, bind, decimals, esc, prop, put, swatch, table
 
 EVERY, SOME = "all", "own choice"
 ADVISED = {"perspective": "perspective", "orthogonal": "orthogonal iterated", ONE_PASS: "orthogonal one pass",
@@ -20,7 +20,8 @@ ADVISED = {"perspective": "perspective", "orthogonal": "orthogonal iterated", ON
 class ComparePanel:
     """Draws every solution of the chosen image; emits which control to use."""
 
-    def __init__(self, gui: viser.GuiApi, emit: Emit) -> None:
+    def __init__(self, desk: Desk) -> None:
+        gui, emit = desk.gui, desk.emit
         self._cluster = gui.add_dropdown(
             "Cluster", (EVERY, SOME), hint="Use all control points or one cluster (column group of points.csv)."
         )
@@ -153,3 +154,6 @@ def _metres(value: float) -> str:
 
 def _degrees(value: float) -> str:
     return f"{np.degrees(value):.4f}" if np.degrees(value) < 10 else f"{np.degrees(value):.1f}"
+
+
+TAB = Tab("Compare", ComparePanel, order=40)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import viser
 
 from ..actions import Cancel, ChooseImage, ChoosePoint, Redo, Set, Solve, SwitchPoint, Undo, UsePoints
-from ..bridge import Wire
 from ..state import FORMS, PRIORS, State
+from ..tabs import Command, Desk, Tab
 from .tables import orientation_table, point_table, words
 from .widgets import Emit, Html, bind, prop, put
 
@@ -17,8 +19,9 @@ BUTTONS = ("Solve again", "Cancel", "Undo", "Redo")
 class OrientationPanel:
     """Draws the chosen image's orientations; emits choices, switches and solving."""
 
-    def __init__(self, gui: viser.GuiApi, emit: Emit, wire: Wire, state: State) -> None:
-        self._wire, self._emit = wire, emit
+    def __init__(self, desk: Desk) -> None:
+        gui, emit, state = desk.gui, desk.emit, desk.state()
+        self._wire, self._emit = desk.wire, emit
         self._image = gui.add_dropdown(
             "Image", _names(state), hint="The photo to be oriented; a click on its frustum chooses it too."
         )
@@ -51,10 +54,6 @@ class OrientationPanel:
         )
         self._switch.on_click(self._switched)
         self._settings(gui, emit)
-        for label, key, action in (("Undo", "Z", Undo()), ("Redo", "Y", Redo())):
-            gui.add_command(label, hotkey=key, modifier="cmd/ctrl").on_trigger(lambda _, a=action: emit(a))  # type: ignore[arg-type]
-        gui.add_command("Solve again", hotkey="enter", modifier="cmd/ctrl").on_trigger(lambda _: emit(Solve()))
-        gui.add_command("Cancel solving", hotkey="escape").on_trigger(lambda _: emit(Cancel()))
 
     def _settings(self, gui: viser.GuiApi, emit: Emit) -> None:
         with gui.add_folder("How to solve", expand_by_default=False):
@@ -119,3 +118,21 @@ def chosen_group(state: State) -> str:
 
 def _names(state: State) -> tuple[str, ...]:
     return tuple(i.name for i in state.block.images) or ("no image",)
+
+
+def _heard_point(state: State, value: Any) -> SwitchPoint | None:
+    return SwitchPoint(value) if isinstance(value, str) else None
+
+
+TAB = Tab(
+    "Orientation",
+    OrientationPanel,
+    order=10,
+    commands=(
+        Command("Undo", Undo(), "Z", "cmd/ctrl", "Take back the last change."),
+        Command("Redo", Redo(), "Y", "cmd/ctrl", "Bring back the change taken back last."),
+        Command("Solve again", Solve(), "enter", "cmd/ctrl", "Solve everything anew."),
+        Command("Cancel solving", Cancel(), "escape", hint="Stop; the next change solves again."),
+    ),
+    heard={"point": _heard_point},
+)

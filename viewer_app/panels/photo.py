@@ -2,32 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
-import viser
 
-from ..actions import Clicking, ForgetSpots, Place, Show, Unmark
+from ..actions import Action, Aim, Clicking, ForgetSpots, Place, Plot, Show, Unmark, UseBox
 from ..bridge import Wire
 from ..ground import nice
+from ..loading import crop
 from ..scene import Sight, sight
 from ..spots import plotted
 from ..state import MODELS, Photo, State, Work
+from ..tabs import Command, Desk, Tab
 from ..theme import CHECK, CONTROL, INITIAL, RESIDUAL
-from .widgets import BOX, MUTED, Emit, Html, bind, css, decimals, esc, jpeg, prop, put, swatch, table
+from .widgets import BOX, MUTED, Html, bind, css, decimals, esc, jpeg, prop, put, swatch, table
 
 CLICKS = {"measures the point": "measure", "gives ground coordinates": "monoplot"}
 HALF = 24
 """Half side of the magnifier, pixels of the file."""
-Crop = Callable[[Photo, tuple[int, int], float, float, int], tuple[np.ndarray, float, float]]
 
 
 class PhotoPanel:
     """Draws the chosen photo; clicks on it and in the magnifier come back through the wire."""
 
-    def __init__(self, gui: viser.GuiApi, emit: Emit, wire: Wire, crop: Crop) -> None:
-        self._wire, self._crop = wire, crop
+    def __init__(self, desk: Desk) -> None:
+        gui, emit = desk.gui, desk.emit
+        self._wire = desk.wire
         self._click = gui.add_dropdown(
             "A click",
             tuple(CLICKS),
@@ -58,7 +59,7 @@ class PhotoPanel:
         prop(self._vectors, "max", max(1000.0, state.view.photo_vectors))
         self._picture.set("" if photo is None else f"<style>:root{{--collinea-photo:url({_encoded(photo)})}}</style>")
         self._overlay.set(photo_html(state, self._wire))
-        self._magnifier.set("" if photo is None or state.mark is None else magnifier_html(state, photo, self._wire, self._crop))
+        self._magnifier.set("" if photo is None or state.mark is None else magnifier_html(state, photo, self._wire))
         for button in (self._place, self._unmark):
             prop(button, "visible", state.mark is not None)
         put(self._click, next(words for words, what in CLICKS.items() if what == state.click))
@@ -151,7 +152,7 @@ def _residuals(seen: Sight, scale: float, unit: float) -> str:
     return "".join(shapes)
 
 
-def magnifier_html(state: State, photo: Photo, wire: Wire, crop: Crop) -> str:
+def magnifier_html(state: State, photo: Photo, wire: Wire) -> str:
     """File pixels around the mark, enlarged; a click moves the mark there, the arrows by a tenth of a file pixel."""
     assert state.mark is not None
     camera = state.block.camera_of(state.image)
@@ -215,3 +216,46 @@ def spots_html(state: State) -> str:
         f"<div {BOX}>{table(('', 'pixel', 'X m', 'Y m', 'Z m', '95 % m'), rows, 'Ground coordinates', 160)}{on}"
         f"{''.join(f'<div {MUTED}>{esc(s)}</div>' for s in said)}</div>"
     )
+
+
+def _heard_photo(state: State, value: Any) -> Action | None:
+    """A click on the photo: measures, or asks for ground coordinates."""
+    at = _pixels(state, value, 2)
+    if at is None:
+        return None
+    return (Plot if state.click == "monoplot" else Aim)(at[0], at[1])
+
+
+def _heard_box(state: State, value: Any) -> Action | None:
+    box = _pixels(state, value, 4)
+    return None if box is None else UseBox(*box)
+
+
+def _pixels(state: State, value: Any, n: int) -> list[float] | None:
+    """Pixels of the chosen photo from shares 0..1 of its sides."""
+    if not (isinstance(value, tuple) and len(value) == n and state.block.images):
+        return None
+    camera = state.block.camera_of(state.image)
+    return [v * size - 0.5 for v, size in zip(value, (camera.width, camera.height) * 2, strict=False)]
+
+
+def _heard_magnifier(state: State, value: Any) -> Action | None:
+    photo = state.assets.photos.get(state.image)
+    if not (isinstance(value, tuple) and len(value) == 2) or state.mark is None or photo is None:
+        return None
+    return Aim(*magnified(state, photo, *value))
+
+
+def _heard_nudge(state: State, value: Any) -> Action | None:
+    at = nudged(state, state.assets.photos.get(state.image), value) if isinstance(value, str) else None
+    return None if at is None else Aim(*at)
+
+
+TAB = Tab(
+    "Photo",
+    PhotoPanel,
+    place="below",
+    order=20,
+    commands=(Command("Place mark", Place()), Command("Drop mark", Unmark()), Command("Forget places", ForgetSpots())),
+    heard={"photo": _heard_photo, "photo-box": _heard_box, "magnifier": _heard_magnifier, "nudge": _heard_nudge},
+)

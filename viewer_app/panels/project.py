@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import viser
 
-from .. import theme
-from ..actions import Show
+from solvers import PhotogrammetryError
+from solvers.io import write_project
+
+from .. import export, theme
+from ..actions import ChooseImage, Say, Show
 from ..bridge import Wire
 from ..state import MODELS, State
-from .widgets import BOX, MUTED, Emit, Html, bind, esc, prop, put, swatch, table
+from ..tabs import Desk, Tab, whole_scene
+from .rerun import RerunPanel
+from .widgets import BOX, MUTED, Html, bind, esc, prop, put, swatch, table
 
 SHOWN = (
     (
@@ -50,16 +56,52 @@ Way = Callable[[viser.ClientHandle | None], None]
 class ProjectPanel:
     """Draws the project in words; emits what to show."""
 
-    def __init__(self, gui: viser.GuiApi, emit: Emit, wire: Wire, ways: dict[str, tuple[str, Way]]) -> None:
-        self._wire = wire
+    def __init__(self, desk: Desk) -> None:
+        gui, emit, self._desk, self._wire = desk.gui, desk.emit, desk, desk.wire
+        self._rerun = RerunPanel(gui, emit, desk.state)
         self._text = Html(gui)
         self._drawn: tuple[object, ...] = ()
-        for label, (hint, way) in ways.items():
+        for label, (hint, way) in self._ways().items():
             button = gui.add_button(label, hint=hint, color=None if label == "Open in rerun" else "gray")
             button.on_click(lambda event, way=way: way(event.client))
             gui.add_command(label).on_trigger(lambda event, way=way: way(event.client))  # type: ignore[attr-defined]
         self._dark = gui.add_checkbox("Dark", False, hint="Dark or light colours, for every browser of this viewer.")
         bind(self._dark, emit, lambda value: Show("dark", bool(value)))
+
+    def _ways(self) -> dict[str, tuple[str, Way]]:
+        """The ways out: label, hint and what is done for the browser that asked."""
+        return {
+            "Open in rerun": ("The run of every image with rerun's own timeline, in a panel beside the scene.", self._rerun.open),
+            "Save project": ("Write points, observations and project.toml into the project folder.", self._save),
+            "Scene as GLB": (
+                "Download what is shown as binary glTF, in metres of the scene's origin.",
+                lambda c: self._download(c, "glb"),
+            ),
+            "Scene as PLY": ("Download terrain, planes and frustums as one coloured mesh.", lambda c: self._download(c, "ply")),
+        }
+
+    def _save(self, client: viser.ClientHandle | None) -> None:
+        state = self._desk.state()
+        if state.assets.folder is None:
+            self._desk.emit(Say("This project has no folder; open one with collinea view PROJECT."))
+            return
+        try:
+            write_project(state.block, state.assets.folder)
+        except (PhotogrammetryError, OSError) as error:
+            self._desk.emit(Say(f"The project was not saved: {error}"))
+            return
+        self._desk.emit(Say(f"Saved in {state.assets.folder}."))
+
+    def _download(self, client: viser.ClientHandle | None, kind: str) -> None:
+        if client is None:
+            return
+        state = self._desk.state()
+        data = (export.glb if kind == "glb" else export.ply)(whole_scene(state))
+        name = "".join(c if c.isalnum() or c in "-_" else "_" for c in state.block.name) or "scene"
+        client.send_file_download(f"{name}.{kind}", data)
+
+    def close(self) -> None:
+        self._rerun.close()
 
     def draw(self, state: State) -> None:
         put(self._dark, state.view.dark)
@@ -72,7 +114,8 @@ class ProjectPanel:
 class ScenePanel:
     """What the scene shows and how much it exaggerates."""
 
-    def __init__(self, gui: viser.GuiApi, emit: Emit) -> None:
+    def __init__(self, desk: Desk) -> None:
+        gui, emit = desk.gui, desk.emit
         self._vectors = gui.add_slider(
             "Residuals ×", 1.0, 1000.0, 1.0, 200.0, hint="Exaggeration of the residual vectors at the GCPs, in object space."
         )
@@ -125,3 +168,13 @@ def project_html(state: State, wire: Wire) -> str:
         f'<div {BOX}>{lines}<div style="height:6px"></div>{table(head, rows, "Images", 200)}<div style="height:6px"></div>'
         f"<div {MUTED}>Legend</div><div>{legend}</div></div>"
     )
+
+
+def _heard_image(state: State, value: Any) -> ChooseImage | None:
+    return ChooseImage(value) if isinstance(value, str) else None
+
+
+TAB = (
+    Tab("Project", ProjectPanel, order=90, heard={"image": _heard_image}),
+    Tab("Scene", ScenePanel, place="below", order=30),
+)

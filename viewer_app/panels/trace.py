@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
 import viser
 
-from ..actions import STEPS, GoTo, Play, Speed, Step
-from ..bridge import Wire
+from ..actions import GoTo, Play, Speed, Step
 from ..state import MODELS, State
+from ..tabs import Command, Desk, Tab
 from ..theme import MODELS as COLOURS
 from .plots import Curve, plot
-from .widgets import BOX, MUTED, Emit, Html, bind, prop, put, swatch
+from .widgets import BOX, MUTED, Html, bind, prop, put, swatch
 
 BUTTONS = ("|◀", "◀", "▶❙❙", "▶", "▶|")
 PLOTS = (("σ0", "sigma0"), ("cost", "cost"), ("step [σ]", "step"))
@@ -18,8 +21,9 @@ PLOTS = (("σ0", "sigma0"), ("cost", "cost"), ("step [σ]", "step"))
 class TracePanel:
     """Draws the rows of the chosen image's traces."""
 
-    def __init__(self, gui: viser.GuiApi, emit: Emit, wire: Wire) -> None:
-        self._wire = wire
+    def __init__(self, desk: Desk) -> None:
+        gui, emit = desk.gui, desk.emit
+        self._wire = desk.wire
         self._slider = gui.add_slider(
             "Iteration", 0, 1, 1, 0, hint="Row of both traces: 0 is the start. Keys: left, right, Home, End."
         )
@@ -37,16 +41,6 @@ class TracePanel:
         self._speed = gui.add_slider("Rows per second", 0.5, 20.0, 0.5, 2.0, hint="Speed of play, rows per second.")
         bind(self._speed, emit, lambda value: Speed(float(value)))
         self._text = Html(gui)
-        keys: tuple[tuple[str, str, str], ...] = (
-            ("First row", "home", "first"),
-            ("Previous row", "arrowleft", "previous"),
-            ("Next row", "arrowright", "next"),
-            ("Last row", "end", "last"),
-        )
-        assert {k[2] for k in keys} == set(STEPS)
-        for label, key, to in keys:
-            gui.add_command(label, hotkey=key).on_trigger(lambda _, to=to: emit(Step(to)))  # type: ignore[arg-type]
-        gui.add_command("Play or pause", hotkey="space").on_trigger(lambda _: emit(Play()))
 
     def draw(self, state: State) -> None:
         prop(self._slider, "max", max(state.last_row, 1))
@@ -79,8 +73,6 @@ class TracePanel:
         def button(row: int, hint: str) -> str:
             return self._wire.attributes("row", str(row), hint)
 
-        import numpy as np
-
         drawn = []
         for title, name in PLOTS:
             curves = [Curve(m, np.array([getattr(r, name) for r in s.rows], float), COLOURS[m]) for m, s in solutions]
@@ -96,3 +88,23 @@ def _stop(reason: str) -> str:
         "max_iterations": "stopped: too many iterations",
         "diverged": "diverged",
     }.get(reason, reason)
+
+
+def _heard_row(state: State, value: Any) -> GoTo | None:
+    return GoTo(int(value)) if isinstance(value, str) and value.isdecimal() and len(value) < 7 else None
+
+
+TAB = Tab(
+    "Iterations",
+    TracePanel,
+    place="below",
+    order=10,
+    commands=(
+        Command("First row", Step("first"), "home"),
+        Command("Previous row", Step("previous"), "arrowleft"),
+        Command("Next row", Step("next"), "arrowright"),
+        Command("Last row", Step("last"), "end"),
+        Command("Play or pause", Play(), "space"),
+    ),
+    heard={"row": _heard_row},
+)

@@ -1,0 +1,94 @@
+"""How the state changes, pure: every action is a value, one function handles its type, and `update` finds that function.
+
+A tab brings actions of its own: a frozen dataclass that is an `Action`, and a function marked with `handles`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, TypeVar
+
+from .state import HISTORY, State, Work
+
+
+class Action:
+    """Something that can happen; its kinds are frozen dataclasses."""
+
+
+Handler = TypeVar("Handler", bound=Callable[[State, Any], State])
+HANDLERS: dict[type[Action], Callable[[State, Any], State]] = {}
+
+
+def handles(*kinds: type[Action]) -> Callable[[Handler], Handler]:
+    """Marks the function (state, action) -> state that handles these kinds of actions; a kind has one handler."""
+
+    def mark(handler: Handler) -> Handler:
+        for kind in kinds:
+            if HANDLERS.setdefault(kind, handler) is not handler:
+                raise TypeError(f"{kind.__name__} is handled twice")
+        return handler
+
+    return mark
+
+
+def update(state: State, action: Action) -> State:
+    """The state after an action; the same state where the action means nothing (an unknown name, a value out of range)."""
+    handler = HANDLERS.get(type(action))
+    if handler is None:
+        raise TypeError(f"nothing handles {type(action).__name__}")
+    return handler(state, action)
+
+
+def edit(state: State, *, solve: bool = True, **changes: Any) -> State:
+    """A change of the work, remembered for undo. With `solve` everything is solved anew; old solutions show until the new come.
+
+    Without it the solutions stay as they are.
+    """
+    if not solve:
+        return replace(state, work=replace(state.work, **changes), past=_remember(state), future=(), message="")
+    work = replace(state.work, revision=state.next_revision, **changes)
+    return replace(
+        state,
+        work=work,
+        next_revision=state.next_revision + 1,
+        past=_remember(state),
+        future=(),
+        held=None,
+        follow=True,
+        message="",
+    )
+
+
+def edit_room(state: State, value: Any, *, solve: bool = False) -> State:
+    """A change of a tab's own value that undo brings back; orientations are solved anew only where asked for."""
+    return edit(state, solve=solve, rooms={**state.work.rooms, type(value): value})
+
+
+def _remember(state: State) -> tuple[Work, ...]:
+    return (*state.past, state.work)[-HISTORY:]
+
+
+def travel(state: State, back: str, forth: str) -> State:
+    """One step along the edits, from the stack `back` onto the stack `forth`."""
+    stack: tuple[Work, ...] = getattr(state, back)
+    if not stack:
+        return replace(state, message="Nothing to undo." if back == "past" else "Nothing to redo.")
+    other: tuple[Work, ...] = getattr(state, forth)
+    work = stack[-1]
+    if work.revision == state.work.revision:  # the same observations: what was solved since still holds
+        work = replace(work, solutions=state.work.solutions)
+    changes: dict[str, Any] = {back: stack[:-1], forth: (*other, state.work)}
+    return follow(replace(state, work=work, mark=None, held=None, message="", **changes))
+
+
+def follow(state: State) -> State:
+    """The row shown stays at the end where it was there, and within what there is."""
+    row = state.last_row if state.follow else min(state.row, state.last_row)
+    return replace(state, row=row) if row != state.row else state
+
+
+def at_row(state: State, row: int) -> State:
+    """The row nearest to the one asked for is shown."""
+    row = min(max(int(row), 0), state.last_row)
+    return replace(state, row=row, follow=row == state.last_row)
