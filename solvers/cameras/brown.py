@@ -80,11 +80,12 @@ class Brown:
         if not self.distorts:
             return target
         xy, h, det = target.copy(), 1e-7, np.ones(target.shape[:-1])
+        right, down = np.array([h, 0.0]), np.array([0.0, h])
         with np.errstate(all="ignore"):
             for _ in range(60):
                 at = self._distorted(xy)
-                jx = (self._distorted([*xy, h, 0]) - self._distorted(xy - [h, 0])) / (2 * h)
-                jy = (self._distorted([*xy, 0, h]) - self._distorted(xy - [0, h])) / (2 * h)
+                jx = (self._distorted(xy + right) - self._distorted(xy - right)) / (2 * h)
+                jy = (self._distorted(xy + down) - self._distorted(xy - down)) / (2 * h)
                 det = jx[..., 0] * jy[..., 1] - jx[..., 1] * jy[..., 0]
                 e = target - at
                 step = np.stack([jy[..., 1] * e[..., 0] - jy[..., 0] * e[..., 1],

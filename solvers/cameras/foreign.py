@@ -161,7 +161,7 @@ def _fit(off: np.ndarray) -> Fit:
 
 
 def from_opencv(matrix: np.ndarray, distortion: np.ndarray, width: int, height: int) -> Brown:
-    """OpenCV's camera matrix (3, 3) and distortion (0, 4, 5 or 8: k1, k2, p1, p2, k3, k4, k5, k6). Raises Unsupported for more."""
+    """OpenCV's camera matrix (3, 3) and distortion (0, 4, 5 or 8: k1, k2, p1, p2, k3, k4 ...). Raises Unsupported for more."""
     k, d = np.asarray(matrix, float).reshape(3, 3), np.asarray(distortion, float).ravel()
     if len(d) > 8 and np.any(d[8:]):
         raise Unsupported("thin prism and tilted sensor coefficients (more than 8) have no counterpart here; calibrate with 8 or "
