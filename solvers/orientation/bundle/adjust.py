@@ -18,7 +18,9 @@ from ..single import camera_manifest
 from .datum import Inner
 from .given import BundleRequest, Given, given, network
 from .network import Network
-from .problem import Bundle
+from .orthogonal import OrthogonalBundle, orthogonal
+from .orthogonal_statistics import orthogonal_statistics
+from .problem import DENSE, Bundle
 from .result import Adjusted, described
 from .start import start as begin
 from .statistics import datum_defects, statistics
@@ -27,6 +29,11 @@ BUNDLE = Options(max_iterations=60, max_trials=20, step_tolerance=1e-6, cost_tol
 
 ROBUST = replace(BUNDLE, max_iterations=200, step_tolerance=1e-4, cost_tolerance=1e-10)
 """Reweighting converges in a straight line, not at once."""
+
+FIXED_POINT = Options.gauss_newton(max_iterations=150, step_tolerance=1e-7)
+AIMED = Options.gauss_newton(max_iterations=30, step_tolerance=1e-7)
+LARGEST = 10 * DENSE
+"""Elements of a design matrix beyond which the orthogonal model, which keeps it whole, refuses."""
 
 
 @dataclass(frozen=True)
@@ -69,8 +76,60 @@ def prepare_bundle(block: Block, request: BundleRequest) -> BundleStart:
     if problem.dof < 0:
         raise DegenerateGeometry(f"{block.name}: {net.observed} observations cannot determine {net.observed - problem.dof} "
                                  "unknowns; measure more points or free fewer interior parameters")
+    if request.model == "orthogonal":
+        return _orthogonal(problem, x0, data, (*left, *said))
     return BundleStart(problem, _softened(problem, x0), ROBUST if request.loss else BUNDLE, _manifest(data, net), data,
                        (*left, *said))
+
+
+def _orthogonal(perspective: Bundle, x0: np.ndarray, data: Given, said: tuple[str, ...]) -> BundleStart:
+    """The orthogonal twin of a bundle, its transformation iterated or frozen, and what to know of it.
+
+    Raises BadProject where other interior parameters than c are free, DegenerateGeometry where the network is too large.
+    """
+    net, request = perspective.network, data.request
+    others = [p for free in net.free for p in free if p != "c"]
+    if others:
+        raise BadProject(f"the orthogonal model can free the principal distance c only, not {', '.join(dict.fromkeys(others))}; "
+                         "take --model perspective for them")
+    m, f, live = net.sizes
+    if 2 * len(net.image) * (6 * m + f + 3 * live) > LARGEST:
+        raise DegenerateGeometry(f"{data.block.name}: {len(net.image)} observations of {live} points are too many for the "
+                                 "orthogonal model, which is for small networks of long focal length; take --model perspective")
+    x0 = _softened(perspective, x0)
+    problem = orthogonal(net, perspective, x0, request.transform == "frozen")
+    warnings = list(said)
+    if problem.extra:
+        warnings.append(f"beyond the seven of the datum, {problem.extra} combination(s) of unknowns stay free in the orthogonal "
+                        "network (a stereo pair does not determine the angle between its rays: depths may be deformed); held as "
+                        "the start values have them. Take a third image, control or --model perspective")
+    manifest = {**_manifest(data, net), "model": "orthogonal"}
+    if problem.frozen:
+        return BundleStart(problem, x0, ROBUST if request.loss else BUNDLE, manifest, data, tuple(warnings))
+    options = FIXED_POINT if request.loss is None else replace(FIXED_POINT, step_tolerance=1e-4)
+    last = solve(problem, x0, options).last
+    if last.stop != "step":
+        aimed = replace(problem, aimed=True)
+        if solve(aimed, x0, AIMED).last.stop == "step":
+            warnings.append(f"plain repetition of the transformation does not settle here ({last.stop}): every step was aimed at "
+                            "the fixed point")
+            problem, options = aimed, AIMED
+        else:
+            warnings.append(f"repeating the transformation leads nowhere here ({last.stop}): the orthogonal model is for narrow "
+                            "fields of view and objects with relief; take --model perspective")
+    return BundleStart(problem, x0, options, manifest, data, tuple(warnings))
+
+
+def _false_fixed_point(problem: OrthogonalBundle, x: np.ndarray) -> list[str]:
+    """Whether the perspective model, from this solution, falls to a far lower sum of squares: then it is not one."""
+    if problem.frozen or problem.extra or problem.dof < 1:
+        return []
+    plain = Bundle(problem.network, problem.inner)
+    here, best = plain.cost(x), solve(plain, x, replace(BUNDLE, max_iterations=15)).last.cost
+    if not here > 2 * best + 5 * np.sqrt(2 * problem.dof):
+        return []
+    return [f"false fixed point: the residuals' sum of squares is {here / max(best, 1e-300):.3g} times that of the perspective "
+            "model from the same values; do not use, take --model perspective"]
 
 
 def _softened(problem: Bundle, x0: np.ndarray) -> np.ndarray:
@@ -84,8 +143,11 @@ def _softened(problem: Bundle, x0: np.ndarray) -> np.ndarray:
 
 def conclude_bundle(start: BundleStart, trace: Trace) -> Adjusted:
     """The adjusted block at the end of a trace, with covariances, redundancy, control and check points and warnings."""
-    stats = statistics(start.problem, trace.last.x)
-    return described(start.data, start.problem, trace, stats, start.warnings)
+    problem, x = start.problem, trace.last.x
+    if isinstance(problem, OrthogonalBundle):
+        said = (*start.warnings, *_false_fixed_point(problem, x))
+        return described(start.data, problem, trace, orthogonal_statistics(problem, x), said)
+    return described(start.data, problem, trace, statistics(problem, x), start.warnings)
 
 
 def _inner(data: Given, net: Network, x0: np.ndarray) -> Inner:

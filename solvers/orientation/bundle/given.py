@@ -29,6 +29,8 @@ class BundleRequest:
     least squares. start: how to begin: "auto" (resection, then over tie points, then priors, then a relative orientation),
     or only "resection", "dlt" or "affine" (the linear models over control), "prior" or "relative". compiled: None lets the size
     decide.
+    model: "orthogonal" is Ono & Hattori's, for long focal lengths; its transform is "iterated" (rays made parallel anew in every
+    iteration) or "frozen" (kept as the start values make them).
     """
 
     datum: Datum = "control"
@@ -37,6 +39,8 @@ class BundleRequest:
     start: Begin = "auto"
     images: tuple[str, ...] | None = None
     compiled: bool | None = None
+    model: Literal["perspective", "orthogonal"] = "perspective"
+    transform: Literal["iterated", "frozen"] = "iterated"
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ Reference: Brown 1958; FORMULAS sections 2, 3.7 and 9.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -39,6 +40,11 @@ class Bundle:
         m, f, live = network.sizes
         small = 2 * len(network.image) * (6 * m + f + 3 * live) <= DENSE
         return cls(network, inner, None if (small if dense is None else dense) else Compiled(network))
+
+    @property
+    def model(self) -> Literal["perspective", "orthogonal"]:
+        """The projection that is adjusted."""
+        return "perspective"
 
     @property
     def dof(self) -> int:

@@ -137,7 +137,7 @@ def _orientations(data: Given, problem: Bundle, trace: Trace, stats: Statistics,
         sd = np.sqrt(np.diag(stats.poses[i]))
         nothing = np.full((len(rows), 2), np.inf)
         out.append(Orientation(
-            image=name, model="perspective", exterior=Exterior(local.m, data.frame.to_map(local.centre)), local=local,
+            image=name, model=problem.model, exterior=Exterior(local.m, data.frame.to_map(local.centre)), local=local,
             initial=Exterior.from_vector(first[i]), covariance=covariance, sigma0=sigma0, dof=problem.dof,
             points=tuple(net.points[p] for p in net.point[rows]), residuals=v[rows], redundancy=stats.redundancy[rows],
             w=stats.w[rows],

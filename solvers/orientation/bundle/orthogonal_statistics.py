@@ -1,0 +1,65 @@
+"""How sure an orthogonal bundle is: a fixed point of G^T P v = 0 is not a minimum, so its covariance is a sandwich.
+
+With J the derivatives of the residuals' own (perspective) model, A = G^T P J bordered by the datum, an error e of the
+observations moves the solution by A^-1 G^T P e. Frozen, J = G: errors of the kept transformation are not in the covariance.
+
+Reference: FORMULAS section 3.6; Baarda 1968.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...adjustment.precision import BAARDA_DELTA0
+from ...errors import DegenerateGeometry
+from .orthogonal import OrthogonalBundle
+from .problem import Bundle
+from .statistics import Statistics, undetermined
+
+
+def orthogonal_statistics(problem: OrthogonalBundle, x: np.ndarray) -> Statistics:
+    """Statistics of an orthogonal bundle at its solution, a priori. Raises DegenerateGeometry naming what is free."""
+    net = problem.network
+    m, f, live = net.sizes
+    linear = problem.linear(x)
+    g, p, n = linear.j, linear.p, len(net.image)
+    u = g.shape[2]
+    j = g if problem.frozen else Bundle(net).linear(x).j
+    scale = np.sqrt(np.maximum(np.einsum("oau,oab,obu->u", g, p, g), 1e-300))
+    flat_j = (j / scale).reshape(-1, u)
+    pg = (p @ (g / scale)).reshape(-1, u)
+    gain = _inverse(pg.T @ flat_j, linear.h, scale, problem, x) @ pg.T  # (u, 2 o) scaled unknowns of observations
+    deviation = np.ones(2 * len(g))
+    deviation[:2 * n] = np.repeat(net.sigma, 2)
+    q = (gain * deviation**2) @ gain.T / scale / scale[:, None]
+    if problem.frozen:  # whose steps of c take the cameras with them
+        along = problem.steps_of(np.eye(u), x)
+        q = along @ q @ along.T
+    spread = np.eye(2 * len(g)) - flat_j @ gain  # residuals of observations
+    redundancy = np.diag(spread)[:2 * n].reshape(n, 2)
+    own = np.sqrt(((spread * deviation) ** 2).sum(axis=1))[:2 * n].reshape(n, 2)
+    checked = (redundancy > 1e-9) & (own > 1e-6 * net.sigma[:, None])
+    own, r = np.where(checked, own, 1.0), np.where(checked, redundancy, 1.0)
+    factor = problem.factor(*problem.image_rows(x))
+    return Statistics(
+        poses=q[:6 * m, :6 * m].reshape(m, 6, m, 6)[np.arange(m), :, np.arange(m), :],
+        interior=q[6 * m:6 * m + f, 6 * m:6 * m + f],
+        points=q[6 * m + f:, 6 * m + f:].reshape(live, 3, live, 3)[np.arange(live), :, np.arange(live), :],
+        redundancy=redundancy, w=np.where(checked, linear.v[:n] / own, np.nan),
+        detectable=np.where(checked, BAARDA_DELTA0 * own / r, np.inf), factor=factor)
+
+
+def _inverse(a: np.ndarray, h: np.ndarray | None, scale: np.ndarray, problem: OrthogonalBundle, x: np.ndarray) -> np.ndarray:
+    """(u, u) upper left block of the inverse of A bordered by the datum H, both in scaled unknowns."""
+    u, k = len(a), 0 if h is None else len(h)
+    bordered = np.zeros((u + k, u + k))
+    bordered[:u, :u] = a
+    if h is not None:
+        rows = h / scale
+        rows /= np.linalg.norm(rows, axis=1, keepdims=True)
+        bordered[u:, :u] = rows
+        bordered[:u, u:] = rows.T  # on this side any complement of what G^T P can give serves
+    if np.linalg.cond(bordered) > 1e14:
+        raise DegenerateGeometry(undetermined(problem, x))
+    return np.linalg.inv(bordered)[:u, :u]
+

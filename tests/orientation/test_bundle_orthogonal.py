@@ -1,0 +1,170 @@
+"""Orthogonal bundle: derivatives, datum, truth, covariance by simulation, what a stereo pair leaves free, fixed points."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from solvers import BadProject, Block, DegenerateGeometry
+from solvers.adjustment import Trace, iterate
+from solvers.orientation.bundle import BundleRequest, BundleStart, adjust, conclude_bundle, prepare_bundle
+from solvers.orientation.bundle.datum import motions, similarity
+from solvers.orientation.bundle.orthogonal import OrthogonalBundle, free_directions
+from solvers.simulation import field_long_range, ono_stereo, ono_triplet, uav_block
+from tests.checks import assert_same, check_jacobian, chi_square_band, normalised_error
+
+
+def controlled(block: Block, xyz: np.ndarray, count: int, sigma: float, rng: np.random.Generator | None = None) -> Block:
+    """The block with its first `count` points as control of some sigma [m], their coordinates in error by it."""
+    error = np.zeros(xyz.shape) if rng is None else rng.normal(0, sigma, xyz.shape)
+    given = np.where(np.arange(len(xyz))[:, None] < count, xyz + error, block.points.xyz)
+    roles = ("control",) * count + ("tie",) * (len(xyz) - count)
+    return replace(block, points=replace(block.points, xyz=given, sigma=np.full(xyz.shape, sigma), role=roles))
+
+
+def start_of(block: Block, **options) -> tuple[OrthogonalBundle, BundleStart]:
+    start = prepare_bundle(block, BundleRequest(model="orthogonal", **options))
+    assert isinstance(start.problem, OrthogonalBundle)
+    return start.problem, start
+
+
+@pytest.mark.parametrize("options", [{"datum": "free"}, {"datum": "free", "free": ("c",)}, {"datum": "control", "free": ("c",)},
+                                     {"datum": "both"}])
+def test_jacobian_of_the_frozen_model_is_that_of_the_iterated_one(options):
+    sim = ono_triplet(2)
+    problem, start = start_of(controlled(sim.block, sim.xyz, 5, 0.001), transform="frozen", **options)
+    problem = replace(problem, inner=None, extra=0)
+    rng = np.random.default_rng(1)
+    normal = problem.normal(start.x0)
+    check_jacobian(problem, problem.retract(start.x0, rng.normal(size=len(normal.gradient)) / normal.scale), rtol=3e-6)
+    iterated = replace(problem, frozen=None)
+    np.testing.assert_allclose(iterated.linear(start.x0).j, problem.linear(start.x0).j, rtol=1e-12, atol=1e-9)
+    np.testing.assert_allclose(iterated.linear(start.x0).v, problem.linear(start.x0).v, rtol=1e-6, atol=1e-7)
+
+
+@pytest.mark.parametrize(("make", "free", "extra"), [(ono_stereo, (), 1), (ono_triplet, (), 0), (ono_triplet, ("c",), 0)])
+def test_what_is_free_beyond_the_datum_is_counted(make, free, extra):
+    for transform in ("iterated", "frozen"):
+        problem, start = start_of(make(1).block, datum="free", free=free, transform=transform)
+        assert problem.extra == extra and bool(start.warnings) == bool(extra)
+        plain = replace(problem, inner=None, extra=0)
+        linear, n = plain.linear(start.x0), len(plain.network.image)
+        values, _ = free_directions(linear.j[:n], linear.p[:n], linear.j[n:], None)
+        assert (values[:7 + extra] < 1e-12).all() and values[7 + extra] > 1e-8  # the defect is 8, 7, 7
+        moved = np.abs(linear.j @ motions(plain.network, start.x0)).max()
+        assert moved < 1e-12 * np.abs(linear.j).max()
+        result = adjust(make(1).block, datum="free", free=free, transform=transform, model="orthogonal")
+        assert result.dof == linear.v.size - len(linear.j[0, 0]) + 7 + extra
+
+
+@pytest.mark.parametrize("free", [(), ("c",)])
+def test_truth_is_recovered_to_round_off(free):
+    for make in (ono_triplet, field_long_range):
+        sim = make(3, noise=0.0)
+        off = replace(sim.block.cameras["camera"], c=sim.block.cameras["camera"].c * 0.98)
+        block = replace(sim.block, points=replace(sim.block.points, xyz=sim.xyz),
+                        cameras={"camera": off} if free else sim.block.cameras)
+        got = adjust(block, datum="free", model="orthogonal", free=free)
+        assert got.trace.converged and got.rms_px < 1e-4
+        assert got.interiors["camera"].c == pytest.approx(sim.cameras["camera"].c, rel=1e-6)
+        for o in got.orientations:
+            assert o.model == "orthogonal"
+            assert_same(o.exterior, sim.exteriors[o.image], 2e-4, 1e-5)
+
+
+def test_with_control_and_a_lens_it_solves_what_the_perspective_model_solves():
+    sim = field_long_range(2)
+    plain = sim.block.cameras["camera"]
+    lens = replace(plain, xp=0.2, yp=-0.1, k1=2e-5, p1=1e-5, b1=1e-4)
+    of = sim.block.observations
+    seen = replace(of, pixel=lens.measured(plain.ideal(of.pixel)))
+    block = controlled(replace(sim.block, cameras={"camera": lens}, observations=seen), sim.xyz, 6, 0.001)
+    one, other = adjust(block), adjust(block, model="orthogonal")
+    assert other.trace.converged and other.dof == one.dof
+    for a, b in zip(one.orientations, other.orientations, strict=True):
+        assert np.abs(normalised_error(b, a.exterior) / np.sqrt(np.diag(b.covariance))).max() < 2
+        ratio = np.sqrt(np.diag(b.covariance) / np.diag(a.covariance))
+        assert (ratio > 1 - 1e-4).all() and (ratio < 1.5).all()  # never better than least squares (Gauss-Markov)
+
+
+def test_a_wide_field_is_refused_in_words():
+    got = adjust(uav_block(1, strips=2, images=3, ties=60, control=6, checks=3, fine=False).block, model="orthogonal")
+    assert not got.trace.converged and "do not use" in got.warnings[0]
+
+
+@pytest.mark.parametrize("transform", ["iterated", "frozen"])
+@pytest.mark.parametrize("free", [(), ("c",)])
+def test_covariance_predicts_the_scatter(transform, free):
+    """With control in error by its sigma. The frozen model is frozen at the truth: errors of that are not in its covariance."""
+    images, points, distances = [], [], []
+    for seed in range(24):
+        sim = ono_triplet(seed)
+        block = controlled(sim.block, sim.xyz, 5, 0.0005, np.random.default_rng(seed))
+        problem, start = start_of(block, free=free, transform=transform)
+        names = [int(n) - 1 for n in problem.network.points]
+        if problem.frozen:
+            poses = np.array([sim.exteriors[n].vector for n in problem.network.images])
+            poses[:, :3] -= start.data.frame.origin
+            interiors, origin = problem.network.split(start.x0)[1], start.data.frame.origin
+            truth = problem.network.pack(poses, interiors, sim.xyz[names] - origin)
+            problem = replace(problem, frozen=problem.kept(truth))
+            start = replace(start, problem=problem)
+        got = conclude_bundle(start, Trace(tuple(iterate(problem, start.x0, start.options)), start.manifest))
+        assert got.trace.converged
+        for o in got.orientations:
+            e = normalised_error(o, sim.exteriors[o.image])
+            images.append(e @ np.linalg.solve(o.covariance, e))
+        p = got.points[seed % len(got.points)]
+        e = p.xyz - sim.xyz[int(p.name) - 1]
+        points.append(e @ np.linalg.solve(p.covariance, e))
+        if free:
+            distances.append((got.interiors["camera"].c - 300.0) ** 2 / got.interior_covariance[0, 0])
+    chi_square_band(np.array(points), 3, 0.999)
+    assert np.mean(images) / 6 == pytest.approx(1.0, abs=0.35)  # images of one network are correlated: no strict test
+    if free:
+        chi_square_band(np.array(distances), 1, 0.999)
+
+
+def test_redundancy_adds_up_and_blunders_are_named():
+    sim = field_long_range(4)
+    got = adjust(sim.block, datum="free", model="orthogonal")
+    assert sum(o.redundancy.sum() for o in got.orientations) == pytest.approx(got.dof, abs=1e-6)
+    of = sim.block.observations
+    pixel = of.pixel.copy()
+    pixel[17] += [4.0, -3.0]
+    got = adjust(replace(sim.block, observations=replace(of, pixel=pixel)), datum="free", model="orthogonal")
+    worst = got.suspects[0]
+    assert (worst["image"], worst["point"]) == (sim.block.images[of.image[17]].name, sim.block.points.names[of.point[17]])
+    robust = adjust(replace(sim.block, observations=replace(of, pixel=pixel)), datum="free", model="orthogonal", loss="danish")
+    (o,) = (o for o in robust.orientations if o.image == worst["image"])
+    assert worst["point"] in o.rejected and sum(len(o.rejected) for o in robust.orientations) <= 2
+
+
+def test_stereo_keeps_the_depth_of_its_start_and_the_perspective_model_does_not():
+    shape = {}
+    for seed in range(6):
+        sim = ono_stereo(seed)
+        for model in ("perspective", "orthogonal"):
+            got = adjust(sim.block, datum="free", model=model, start="prior")
+            assert got.trace.converged
+            xyz = np.array([p.xyz for p in sorted(got.points, key=lambda p: int(p.name))])
+            s, r, t = similarity(xyz, sim.xyz)
+            shape.setdefault(model, []).append(np.sqrt(((s * xyz @ r.T + t - sim.xyz) ** 2).mean()))
+    assert np.mean(shape["orthogonal"]) > 2.5 * np.mean(shape["perspective"])
+
+
+def test_what_the_model_cannot_do_is_said():
+    block = ono_triplet(1).block
+    with pytest.raises(BadProject, match="principal distance c only, not k1"):
+        adjust(block, datum="free", model="orthogonal", free=("c", "k1"))
+    with pytest.raises(DegenerateGeometry, match="control and priors leave free"):
+        adjust(block, model="orthogonal")
+
+
+def test_where_repetition_runs_away_every_step_is_aimed():
+    sim = field_long_range(6, relief=0.2, images=3)
+    got = adjust(sim.block, datum="free", model="orthogonal")
+    assert got.trace.converged and any("plain repetition" in w for w in got.warnings)
+    assert got.sigma0 == pytest.approx(1.0, abs=0.2)
