@@ -23,7 +23,10 @@ def add(commands: Any) -> None:
 def _options(command: Parser, free: str = "none") -> None:
     command.add_argument("project", metavar="PROJECT", nargs="?")
     command.add_argument("--image", action="extend", nargs="+", default=[], metavar="N", help="only these images (default: all)")
-    command.add_argument("--model", choices=("perspective", "orthogonal"), default="perspective")
+    command.add_argument("--model", choices=("perspective", "orthogonal"), default="perspective",
+                         help="projection; the orthogonal one frees c alone and is for narrow fields (default: perspective)")
+    command.add_argument("--transform", choices=("iterated", "frozen"), default="iterated",
+                         help="orthogonal model: rays made parallel anew in every iteration, or kept as the start makes them")
     command.add_argument("--datum", choices=("control", "free", "prior", "both"), default="control",
                          help="what gives place, attitude and scale: control points; inner constraints; GPS/IMU priors; control "
                               "and priors (default: control)")
@@ -45,7 +48,8 @@ def _free(text: str) -> tuple[str, ...]:
 
 def _request(args: argparse.Namespace) -> dict[str, Any]:
     return {"datum": args.datum, "free": _free(args.free) if isinstance(args.free, str) else args.free, "start": args.start,
-            "loss": args.loss if args.robust else None, "images": tuple(args.image) or None}
+            "loss": args.loss if args.robust else None, "images": tuple(args.image) or None, "model": args.model,
+            "transform": args.transform}
 
 
 def _adjust(args: argparse.Namespace) -> int:

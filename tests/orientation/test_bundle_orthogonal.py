@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,8 @@ import pytest
 
 from solvers import BadProject, Block, DegenerateGeometry
 from solvers.adjustment import Trace, iterate
+from solvers.cli import main
+from solvers.io import write_project
 from solvers.orientation.bundle import BundleRequest, BundleStart, adjust, conclude_bundle, prepare_bundle
 from solvers.orientation.bundle.datum import motions, similarity
 from solvers.orientation.bundle.orthogonal import OrthogonalBundle, free_directions
@@ -168,3 +171,17 @@ def test_where_repetition_runs_away_every_step_is_aimed():
     got = adjust(sim.block, datum="free", model="orthogonal")
     assert got.trace.converged and any("plain repetition" in w for w in got.warnings)
     assert got.sigma0 == pytest.approx(1.0, abs=0.2)
+
+
+def test_adjust_command_takes_the_model_and_its_transformation(tmp_path, capsys):
+    write_project(ono_triplet(1).block, tmp_path / "net")
+    done = {}
+    for transform in ("iterated", "frozen"):
+        words = ["adjust", str(tmp_path / "net"), "--model", "orthogonal", "--datum", "free", "--free", "c"]
+        assert main([*words, "--transform", transform, "--json", "-"]) == 0
+        done[transform] = json.loads(capsys.readouterr().out)
+        assert {o["model"] for o in done[transform]["orientations"]} == {"orthogonal"}
+        assert done[transform]["interior"]["camera"]["sigma"]["c_mm"] > 0
+    assert done["frozen"]["sigma0"] > done["iterated"]["sigma0"]
+    assert main(["adjust", str(tmp_path / "net"), "--model", "orthogonal", "--datum", "free", "--free", "all"]) == 1
+    assert "principal distance c only" in capsys.readouterr().err
