@@ -29,10 +29,13 @@ MAY_IMPORT = {
     "pyproj": r"solvers/(io/\w+|geometry/frame)\.py",
     "dask": r"solvers/execution\.py",
     "distributed": r"solvers/execution\.py",
-    "matplotlib": r"solvers/(report|studies(/\w+)?)\.py",
+    "matplotlib": r"solvers/(report(_\w+)?|studies(/\w+)?)\.py",
+    "typst": r"solvers/report_pdf\.py",
+    "jinja2": r"solvers/report_html\.py",
     "numba": r"solvers/(\w+/)*_kernels\.py",
 }
-HEAVY = ("numba", "viser", "rerun", "rasterio", "trimesh", "cv2", "scipy", "matplotlib", "PIL", "pyproj", "dask", "rich", "tyro")
+HEAVY = ("numba", "viser", "rerun", "rasterio", "trimesh", "cv2", "scipy", "matplotlib", "PIL", "pyproj", "dask", "rich", "tyro",
+         "jinja2", "typst")
 
 
 def room(path: Path) -> str:

@@ -40,7 +40,8 @@ class AdjustedPoint:
         return {"name": self.name, **dict(zip("XYZ", map(float, self.xyz), strict=True)),
                 **dict(zip(("sX", "sY", "sZ"), map(float, sigma), strict=True)), "role": self.role,
                 **dict(zip(("dX", "dY", "dZ"), map(_finite, self.off), strict=True)), "rays": self.rays,
-                "w": [_finite(v) for v in self.w]}
+                "w": [_finite(v) for v in self.w],
+                **({} if self.role == "tie" else {"covariance": self.covariance.tolist()})}
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,161 @@
+"""Reports: their numbers are those of the run, nothing is fetched, nothing written is read as markup, accuracy in the
+standard's words."""
+
+from __future__ import annotations
+
+import html as entities
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from solvers.cli import main
+from solvers.errors import BadProject, Unsupported
+from solvers.report_accuracy import Accuracy, remarks, statements
+from solvers.report_contents import contents
+from solvers.report_document import Document, Section, Table, Words
+from solvers.report_html import html
+from solvers.report_material import Wanted
+from solvers.report_pdf import pdf
+from solvers.workflows_report import material, report_project
+
+DEMO = Path(__file__).parent.parent / "assets" / "demo"
+
+
+@pytest.fixture(scope="module")
+def adjusted(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("report") / "demo"
+    shutil.copytree(DEMO, folder, ignore=shutil.ignore_patterns("runs"))
+    assert main(["adjust", str(folder), "--quiet"]) == 0
+    return folder, next((folder / "runs").iterdir())
+
+
+@pytest.fixture(scope="module")
+def page(adjusted):
+    folder, _ = adjusted
+    assert main(["report", str(folder), "-o", str(folder / "r.html"), "--quiet"]) == 0
+    return (folder / "r.html").read_text(encoding="utf-8")
+
+
+def at(result, pointer):
+    for word in pointer.split("/")[1:]:
+        word = word.replace("~1", "/").replace("~0", "~")
+        result = result[int(word)] if isinstance(result, list) else result[word]
+    return result
+
+
+def test_every_number_is_the_run_s(adjusted, page):
+    result = json.loads((adjusted[1] / "result.json").read_text())
+    cells = re.findall(r'data-key="([^"]+)" data-value="([^"]+)">([^<]+)</td>', page)
+    assert len(cells) > 400
+    for key, value, shown in cells:
+        true = at(result, entities.unescape(key))
+        assert float(value) == true
+        decimals = len(shown.partition(".")[2])
+        assert abs(float(shown.replace("−", "-")) - true) <= 0.5000001 * 10.0**-decimals or "e" in shown
+    assert {"/orientations/0/X", "/orientations/4/sigma/kappa_deg", "/check_rms_m/2"} <= {k for k, _, _ in cells}
+
+
+def test_the_accuracy_is_that_of_the_check_points(adjusted, page):
+    result = json.loads((adjusted[1] / "result.json").read_text())
+    off = np.array([[p["dX"], p["dY"], p["dZ"]] for p in result["points"] if p["role"] == "check"])
+    h = np.sqrt((off[:, :2] ** 2).sum(axis=1).mean() + 2 * 0.002**2) * 100
+    assert f"RMSEH = {h:.1f} (cm) using the reduced number of checkpoints" in page
+    assert f"using ONLY {len(off)} checkpoints" in page
+
+
+def test_the_page_stands_alone_and_warns_first(page):
+    assert not re.search(r'(?:src|href)="(?!data:)|url\(|@import|<script|https?://(?!www\.w3\.org)', page)
+    headings = re.findall(r"<h2>([^<]+)</h2>", page)
+    assert headings[0] == "Warnings" and {"Positional accuracy", "Redundancy and blunder tests", "Iterations"} <= set(headings)
+    assert page.count("data:image/svg+xml;base64,") >= 6
+
+
+def test_a_resection_is_reported_by_its_rays(adjusted, tmp_path):
+    folder = tmp_path / "demo"
+    shutil.copytree(DEMO, folder, ignore=shutil.ignore_patterns("runs"))
+    assert main(["resect", str(folder), "--image", "DSC00229", "DSC00230", "--quiet"]) == 0
+    run = next((folder / "runs").iterdir())
+    m = material(folder, run)
+    assert len(m.grounds) == 2 * 39 and set(m.outlines or {}) == {"DSC00229", "DSC00230"}
+    off = np.array([g.off for g in m.grounds])
+    scale = np.array([np.sqrt(np.diag(g.covariance)) for g in m.grounds])
+    assert 0.7 < np.sqrt(((off / scale) ** 2).mean()) < 1.3  # the ellipses predict the differences
+    document = contents(m, Wanted())
+    text = " ".join(p.text for s in document.sections for p in s.parts if isinstance(p, Words))
+    assert "correlated" in text and "No statement is made" in text and "alike for" in text
+
+
+def test_the_pdf_is_set(adjusted, tmp_path):
+    assert report_project(adjusted[1], tmp_path / "r.pdf").run == adjusted[1]
+    data = (tmp_path / "r.pdf").read_bytes()
+    assert data.startswith(b"%PDF-") and len(data) > 50_000
+
+
+NASTY = '<b>"x"</b> & #import "y" $1$ \\ ] *a* {{ 7 * 7 }}'
+
+
+def test_names_are_never_markup():
+    sections = [Section(NASTY, [Words(NASTY, "warning"), Table((NASTY,), [(NASTY,)], NASTY, NASTY)])]
+    document = Document(NASTY, {NASTY: NASTY}, sections)
+    page = html(document)
+    assert "<b>" not in page and page.count(entities.escape(NASTY, quote=False).split("&amp;")[0].replace('"', "&#34;")) >= 6
+    assert pdf(document).startswith(b"%PDF-")
+
+
+# -- accuracy ---------------------------------------------------------------------------------------------------------------
+
+
+def errors(n, seed=1):
+    return np.random.default_rng(seed).normal(0, [0.03, 0.04, 0.06], (n, 3))
+
+
+def test_edition_1_states_the_95_percent_level():
+    off = errors(25)
+    a = Accuracy.of(off, np.full((25, 3), 0.01))
+    horizontal, vertical = statements(a, "2014", 5, 10)
+    r = np.sqrt((off**2).mean(axis=0))
+    assert f"+/- {1.7308 * np.hypot(r[0], r[1]) * 100:.1f} (cm) at 95% confidence level" in horizontal
+    assert f"+/- {1.96 * r[2] * 100:.1f} (cm) at 95% confidence level" in vertical
+    assert "NOT meet" not in horizontal + vertical and not [x for x in remarks(a, "2014", 5, 10) if "Only" in x]
+
+
+def test_edition_2_adds_the_survey_and_asks_for_thirty():
+    off = errors(40)
+    a = Accuracy.of(off, np.full((40, 3), 0.02))
+    assert a.horizontal("2024") == pytest.approx(np.sqrt((off[:, :2] ** 2).mean(axis=0).sum() + 2 * 0.02**2))
+    horizontal, vertical = statements(a, "2024", 4, 10)
+    assert "tested to meet" in horizontal and horizontal.endswith("The test does NOT meet this class.")
+    assert f"RMSEV = {100 * a.vertical('2024'):.1f} (cm)" in vertical and "NOT" not in vertical
+    few = statements(Accuracy.of(off[:12], np.full((12, 3), 0.02)), "2023", 6, 10)[0]
+    assert "minimum of thirty (30) checkpoints" in few and "ONLY 12" in few and "Edition 2 (2023)" in few
+
+
+def test_a_class_that_nobody_gave_is_said_to_be_chosen_afterwards():
+    assert "chosen after it" in statements(Accuracy.of(errors(40), np.zeros((40, 3))))[2]
+
+
+def test_a_mean_error_and_a_weak_survey_are_named():
+    a = Accuracy.of(errors(40) + np.array([0, 0, 0.08]), np.full((40, 3), 0.03))
+    said = " ".join(remarks(a, "2024", 5, 10))
+    assert "mean error in Z" in said and "mean error in X" not in said and "2 times better" in said
+
+
+# -- bad input --------------------------------------------------------------------------------------------------------------
+
+
+def test_what_cannot_be_reported_is_refused(adjusted, tmp_path, capsys):
+    folder = tmp_path / "demo"
+    shutil.copytree(DEMO, folder, ignore=shutil.ignore_patterns("runs"))
+    with pytest.raises(BadProject, match="no run to report on; make one with: collinea adjust"):
+        report_project(folder, tmp_path / "r.html")
+    with pytest.raises(Unsupported, match=r"\.html or \.pdf"):
+        report_project(adjusted[0], tmp_path / "r.docx")
+    run = folder / "runs" / "20260101-000000-adjust"
+    run.mkdir(parents=True)
+    (run / "result.json").write_text("{")
+    assert main(["report", str(run), "-o", str(tmp_path / "r.html")]) == 1
+    assert "result.json" in capsys.readouterr().err and not (tmp_path / "r.html").exists()
