@@ -103,8 +103,7 @@ class App:
                     self._apply([more] if more is not None else [])
                     taken.append(more)
             if taken:
-                with self._jobs.held():
-                    self._paint()
+                self._paint()
                 self.latencies = [*self.latencies, time.perf_counter() - began][-LATENCIES:]
             for _ in taken:
                 self._actions.task_done()

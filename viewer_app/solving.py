@@ -29,7 +29,7 @@ def solving_tasks(state: State) -> tuple[Task, ...]:
 
 def _task(job: Job) -> Task:
     title = f"{job.image}: the work on '{job.model}'"
-    return Task(job.key, solve, (job,), partial(arrived, job), partial(Failed, job), title)
+    return Task(job.key, solve, (job,), partial(arrived, job), partial(Failed, job), title, "solve")
 
 
 def arrived(job: Job, answer: Answer) -> Action:

@@ -1,0 +1,77 @@
+"""The other process: does one task after the other, says what each yields, stops between two yields when told to.
+
+It ends by itself when the viewer does. What it prints goes to the viewer's terminal.
+"""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import os
+import queue
+import sys
+import threading
+from typing import Any, BinaryIO
+
+from solvers import PhotogrammetryError
+
+from .frames import Receiver, Sender
+
+
+def main() -> None:
+    """Serve the viewer at the other end of standard input and output."""
+    source = sys.stdin.buffer
+    out = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # a library that prints must not speak between the messages
+    Worker(source, out).serve()
+
+
+class Worker:
+    """messages in: ("do", number, call, arguments), ("stop", number); out: (kind, number, value)."""
+
+    def __init__(self, source: BinaryIO, out: BinaryIO) -> None:
+        self._receiver, self._sender = Receiver(source), Sender(out)
+        self._todo: queue.Queue[tuple[int, Any, tuple[Any, ...]]] = queue.Queue()
+        self._stopped = -1
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    def serve(self) -> None:
+        importlib.import_module("solvers.orientation.single")  # what the first task will want
+        importlib.import_module("viewer_app.solving")
+
+        self._sender.send(("ready", -1, None))
+        while True:
+            self._do(*self._todo.get())
+
+    def _listen(self) -> None:
+        while True:
+            try:
+                kind, number, *rest = self._receiver.receive()
+            except (EOFError, OSError):
+                os._exit(0)  # the viewer is gone
+            except Exception:
+                logging.getLogger("collinea").exception("a task did not arrive")
+                os._exit(3)
+            if kind == "stop":
+                self._stopped = max(self._stopped, number)
+            else:
+                self._todo.put((number, *rest))
+
+    def _do(self, number: int, call: Any, arguments: tuple[Any, ...]) -> None:
+        try:
+            for value in call(*arguments):
+                if number <= self._stopped:
+                    break
+                self._sender.send(("value", number, value))
+            self._sender.send(("done", number, None))
+        except PhotogrammetryError as error:
+            self._sender.send(("failed", number, str(error)))
+        except MemoryError:
+            self._sender.send(("failed", number, "the memory is not enough; close other programs or work on fewer images"))
+        except Exception as error:
+            logging.getLogger("collinea").exception("task %s", getattr(call, "__name__", call))
+            self._sender.send(("broken", number, f"{type(error).__name__}: {error}"))
+
+
+if __name__ == "__main__":
+    main()
