@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -14,34 +13,24 @@ import pytest
 
 from solvers.cameras import project
 from solvers.orientation import Monoplotted
-from tests.browser import ViserPage, require_chromium, viser_page
+from tests.browser import ViserPage
+from tests.viewer.sessions import HEAVY, Session, camera_path, demo_session, has_pose, settle
 from viewer_app import theme
 from viewer_app.actions import ChooseImage, ChoosePoint, ForgetSpots, Show, Step, UsePoints
 from viewer_app.app import App
-from viewer_app.paint_viser import frustum_pose
 from viewer_app.scene import scene
 from viewer_app.spots import plotted
 from viewer_app.state import COMPARED
 from viewer_app.values import Segments
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(400)]
-DEMO = Path(__file__).resolve().parents[2] / "assets" / "demo"
-Session = tuple[App, ViserPage]
-HEAVY = ("terrain", "labels", "photos", "ellipsoids")
-"""What costs a renderer without a GPU most."""
 POINTS_ONLY = (*HEAVY, "rays", "bundle", "residuals", "perspective", "orthogonal", "truth", "initial", "georeferenced", "printed")
 
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
-    require_chromium()
-    folder = tmp_path_factory.mktemp("viewer") / "demo"
-    shutil.copytree(DEMO, folder, ignore=shutil.ignore_patterns("runs"))
-    with App(folder) as app, viser_page(app.port, size=(1150, 680)) as v:
-        v.page.set_default_timeout(60_000)
-        settle(app, v)
-        v.dismiss_notifications()
-        yield app, v
+    with demo_session(tmp_path_factory.mktemp("viewer") / "demo", light=False) as made:
+        yield made
 
 
 @pytest.fixture(autouse=True)
@@ -50,24 +39,6 @@ def nothing_goes_wrong(session: Session) -> Iterator[None]:
     app, v = session
     settle(app, v)
     assert v.log.errors == [] and v.log.external == []
-
-
-def settle(app: App, v: ViserPage) -> None:
-    v.wait_until(app.settled, "the viewer to settle", 200)
-
-
-def camera_path(app: App, model: str = "perspective", image: str | None = None) -> str:
-    return f"/images/{image or app.state.image}/{model}/camera"
-
-
-def has_pose(app: App, v: ViserPage, path: str) -> bool:
-    """Whether the browser shows a frustum where the state has it."""
-    _, _, image, model, _ = path.split("/")
-    exterior, shown = app.state.exterior(model, image), v.pose(path)
-    if exterior is None or shown is None:
-        return False
-    wxyz, position = frustum_pose(exterior)
-    return bool(np.allclose(shown["position"], position, atol=1e-3) and abs(abs(np.dot(shown["wxyz"], wxyz)) - 1) < 1e-6)
 
 
 def test_the_demo_opens(session: Session) -> None:
