@@ -18,6 +18,7 @@ from solvers import Unsupported
 
 from .actions import Action, Say, Tick, update
 from .bridge import LOCAL_HOSTS, Wire, open_server
+from .flying import Fly, asked_by, flight
 from .home import home
 from .jobs import Jobs
 from .loading import bring, open_project
@@ -113,6 +114,8 @@ class App:
         for action in taken:
             try:
                 self._state = update(self._state, action)
+                if isinstance(action, Fly):
+                    self._fly(action)
             except Exception as error:
                 logging.getLogger("collinea").exception("%s", action)
                 self._state = update(self._state, Say(f"{type(action).__name__} could not be done: {error}"))
@@ -198,10 +201,10 @@ class App:
         handle = gui.add_command(command.label, description=command.hint or None, hotkey=key, modifier=modifier)
 
         @handle.on_trigger
-        async def _(_: Any) -> None:
+        async def _(event: Any) -> None:
             act = command.act
             if (action := act if isinstance(act, Action) else act(self._state)) is not None:
-                self.emit(action)
+                self.emit(asked_by(action, getattr(event, "client_id", None)))
 
     def _look(self) -> None:
         """Look at all there is; who has moved already keeps the own view."""
@@ -216,16 +219,27 @@ class App:
             if old is not None and np.allclose(shown.position, old[0], rtol=1e-3, atol=1e-3):
                 shown.position, shown.look_at = position, at
 
+    def _fly(self, action: Fly) -> None:
+        """Turn the view of the browser that asked."""
+        for number, client in self.server.get_clients().items():
+            camera = client.camera
+            if action.client not in (None, number):
+                continue
+            to = flight(self._state, action, np.array(camera.position), np.array(camera.look_at))
+            if to is not None:
+                with client.atomic():
+                    camera.position, camera.look_at = to
+
     def _theme(self, dark: bool) -> None:
         if dark != self._dark:
             self._dark = dark
             self.server.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False, brand_color=PERSPECTIVE)
 
-    def _heard(self, kind: str, value: Any) -> None:
+    def _heard(self, kind: str, value: Any, client: int | None = None) -> None:
         """What came through the wire; anyone who can open the page can send anything: the tabs check it again."""
         for tab in tabs():
             if (heard := tab.heard.get(kind)) is not None and (action := heard(self._state, value)) is not None:
-                self.emit(action)
+                self.emit(asked_by(action, client))
 
     async def _clicked(self, event: viser.SceneClickEvent) -> None:
         camera = event.client.camera

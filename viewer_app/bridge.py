@@ -115,7 +115,7 @@ def _response(status: HTTPStatus, why: str) -> Any:
 class Wire:
     """HTML that calls Python: elements made with `attributes` send (kind, value) when clicked or activated by keyboard."""
 
-    def __init__(self, server: viser.ViserServer, heard: Callable[[str, Any], None]) -> None:
+    def __init__(self, server: viser.ViserServer, heard: Callable[[str, Any, int | None], None]) -> None:
         self._heard = heard
         self.works = known_version()
         if not self.works:
@@ -133,16 +133,28 @@ class Wire:
             return
         said = parse(str(self._box.value))
         if said is not None:
-            self._heard(*said)
+            self._heard(*said, event.client_id)
 
-    def attributes(self, kind: str, value: str, hint: str = "") -> str:
-        """HTML attributes that make an element a button."""
+    def attributes(self, kind: str, value: str, hint: str = "", focus: str = "") -> str:
+        """HTML attributes that make an element a button. focus: a name of its own by which it keeps the focus when drawn anew;
+        in a table "table/column/row", the arrows then go up and down."""
         if not self.works:
             return f'title="{html.escape(hint)}"' if hint else ""
         return (
             f'tabindex="0" role="button" data-kind="{html.escape(kind)}" '
-            f'data-value="{html.escape(value)}" title="{html.escape(hint)}" '
+            f'data-value="{html.escape(value)}" title="{html.escape(hint)}" {_focus(focus)}'
             'onclick="collinea.press(event)" onkeydown="collinea.key(event)" style="cursor:pointer"'
+        )
+
+    def field(self, kind: str, value: list[str], text: str, hint: str, focus: str, width: int) -> str:
+        """A small text box that says value with the text typed; without a wire the text alone. width: pixels of the page."""
+        if not self.works:
+            return html.escape(text)
+        return (
+            f'<input type="text" value="{html.escape(text)}" aria-label="{html.escape(hint)}" data-kind="{html.escape(kind)}" '
+            f'data-value="{html.escape(json.dumps(value))}" {_focus(focus)}onkeydown="collinea.typed(event)" '
+            f'onchange="collinea.change(event)" style="width:{width}px;font:inherit;color:inherit;text-align:right;'
+            'border:1px solid rgba(128,128,128,.25);border-radius:3px;background:transparent;padding:0 2px">'
         )
 
     def surface(self, kind: str) -> str:
@@ -154,6 +166,10 @@ class Wire:
             f'data-kind="{html.escape(kind)}" onpointerdown="collinea.down(event)" onclick="collinea.point(event)" '
             'style="cursor:crosshair"'
         )
+
+
+def _focus(name: str) -> str:
+    return f'data-focus="{html.escape(name)}" ' if name else ""
 
 
 def parse(text: str) -> tuple[str, Any] | None:
@@ -183,7 +199,67 @@ window.collinea = (() => {
   const send = (kind, value) => window.__viserMutable.sendMessage(
     {type: 'GuiUpdateMessage', uuid: UUID, updates: {value: JSON.stringify([kind, value, Date.now() + '-' + count++])}});
   const press = ev => { ev.stopPropagation(); const e = ev.currentTarget; send(e.dataset.kind, e.dataset.value); };
-  const key = ev => { if (ev.key === 'Enter' || ev.key === ' ') { ev.preventDefault(); press(ev); } };
+  const find = name => [...document.querySelectorAll('[data-focus]')].find(e => e.dataset.focus === name);
+  const step = (e, by) => {
+    const row = e.closest('tr'), column = e.dataset.focus?.split('/').slice(0, 2).join('/');
+    const next = by > 0 ? row?.nextElementSibling : row?.previousElementSibling;
+    const to = next && [...next.querySelectorAll('[data-focus]')].find(f => f.dataset.focus.startsWith(column + '/'));
+    if (to) { to.focus(); to.scrollIntoView({block: 'nearest'}); }
+    return !!to;
+  };
+  const arrows = ev => {
+    const by = {ArrowDown: 1, ArrowUp: -1}[ev.key];
+    if (by && ev.currentTarget.dataset.focus) { ev.preventDefault(); ev.stopPropagation(); step(ev.currentTarget, by); }
+  };
+  const key = ev => {
+    if (ev.key === 'Enter' || ev.key === ' ') { ev.preventDefault(); press(ev); } else arrows(ev);
+  };
+  // what is typed, the focus and scroll positions outlive the HTML being drawn anew
+  const scrolled = {}, typing = {};
+  let focus = null, left = 0;  // left: when somebody last went elsewhere; a box taken off the page speaks up too
+  const leaving = () => performance.now() - left < 300;
+  const change = ev => { if (leaving()) commit(ev); };
+  const commit = ev => {
+    const e = ev.currentTarget;
+    if (e.value === e.defaultValue) return;
+    delete typing[e.dataset.focus];
+    e.defaultValue = e.value;
+    send(e.dataset.kind, JSON.stringify([...JSON.parse(e.dataset.value), e.value]));
+  };
+  const typed = ev => {
+    const e = ev.currentTarget;
+    ev.stopPropagation();
+    if (ev.key === 'Enter') commit(ev);
+    else if (ev.key === 'Escape') { e.value = e.defaultValue; delete typing[e.dataset.focus]; }
+    else arrows(ev);
+  };
+  document.addEventListener('scroll', ev => {
+    const name = ev.target?.dataset?.keep;
+    if (name) scrolled[name] = [ev.target.scrollLeft, ev.target.scrollTop];
+  }, true);
+  document.addEventListener('focusin', ev => { focus = ev.target?.dataset?.focus ?? null; }, true);
+  document.addEventListener('pointerdown', ev => {
+    left = performance.now();
+    if (!ev.target?.closest?.('[data-focus]')) focus = null;
+  }, true);
+  document.addEventListener('keydown', ev => { if (ev.key === 'Tab') left = performance.now(); }, true);
+  document.addEventListener('input', ev => {
+    if (ev.target?.dataset?.focus) typing[ev.target.dataset.focus] = ev.target.value;
+  }, true);
+  document.addEventListener('focusout', ev => { if (leaving()) delete typing[ev.target?.dataset?.focus]; }, true);
+  new MutationObserver(records => {
+    if (!records.some(r => r.addedNodes.length)) return;
+    for (const e of document.querySelectorAll('[data-keep]')) {
+      const to = scrolled[e.dataset.keep];
+      if (to && (e.scrollLeft !== to[0] || e.scrollTop !== to[1])) { e.scrollLeft = to[0]; e.scrollTop = to[1]; }
+    }
+    if (focus === null || (document.activeElement && document.activeElement !== document.body)) return;
+    const name = focus, e = find(name);
+    if (!e) return;
+    const words = typing[name];
+    e.focus({preventScroll: true});
+    if (words !== undefined && e.value !== words) { e.value = words; typing[name] = words; }
+  }).observe(document.body, {childList: true, subtree: true});
   const clamp = t => Math.min(1, Math.max(0, t));
   const place = (ev, r) => [clamp((ev.clientX - r.left) / r.width), clamp((ev.clientY - r.top) / r.height)];
   let dragged = false;
@@ -220,6 +296,6 @@ window.collinea = (() => {
     addEventListener('pointerup', up, true);
     addEventListener('pointercancel', up, true);
   };
-  return {press, key, point, down};
+  return {press, key, change, typed, point, down};
 })();
 """

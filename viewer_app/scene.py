@@ -114,7 +114,7 @@ def frustum_depth(state: State) -> float:
     """Depth (m) at which image planes are drawn: a twelfth of the way to the ground, at least a tenth of the site."""
     xyz = _known(state)
     site = float(np.linalg.norm(np.ptp(xyz, axis=0))) if len(xyz) else 1.0
-    centres = [e.centre for i in state.block.images if (e := _any(state, i.name))]
+    centres = [e.centre for i in state.block.images if (e := any_exterior(state, i.name))]
     far = float(np.median([np.linalg.norm(c - xyz.mean(axis=0)) for c in centres])) if centres and len(xyz) else 0.0
     return nice(max(0.07 * site, 0.08 * far, 1e-3))
 
@@ -130,7 +130,7 @@ def _known(state: State) -> np.ndarray:
     return xyz[np.isfinite(xyz).all(axis=1)]
 
 
-def _any(state: State, image: str) -> Exterior | None:
+def any_exterior(state: State, image: str) -> Exterior | None:
     """Where an image is, as far as anything says so, in the local frame."""
     for model in MODELS:
         solution = state.solution(model, image)
@@ -183,7 +183,7 @@ def _image(state: State, name: str, depth: float) -> Scene:
     truth = state.assets.truth.get(name)
     if view.truth and truth is not None:
         found[f"{path}/truth/camera"] = Frustum(truth, *lens, depth * 0.6, theme.foreground(view.dark), 1.0)
-    at = _any(state, name)
+    at = any_exterior(state, name)
     if view.labels and at is not None and (chosen or not view.compared):
         found[f"{path}/label"] = Label(name, at.centre + np.array([0, 0, 0.35 * depth]), 1.15 if chosen else 0.9, "bottom-center")
     return found | (_difference(state, path, depth) if chosen else {})

@@ -1,0 +1,209 @@
+"""The tables in a real browser: by mouse and by keyboard alone. One server, one browser."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from playwright.sync_api import Locator
+
+from tests.browser import ViserPage
+from tests.viewer.sessions import Session, demo_session, settle
+from viewer_app.actions import ChooseImage, SwitchPoint
+from viewer_app.lists import rows_of
+
+pytestmark = [pytest.mark.browser, pytest.mark.timeout(200)]
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
+    with demo_session(tmp_path_factory.mktemp("tables") / "demo", size=(1150, 760)) as made:
+        yield made
+
+
+@pytest.fixture(autouse=True)
+def everything_is_taken_back(session: Session) -> Iterator[None]:
+    app, v = session
+    before = app.state.work
+    yield
+    for _ in range(20):
+        if app.state.work is not before:
+            v.hotkey("Control+z")
+            settle(app, v)
+    assert app.state.work.block is before.block and v.log.errors == [] and v.log.external == []
+
+
+def table(v: ViserPage, tab: str = "Points", name: str = "Points") -> Locator:
+    v.open_tab(tab)
+    found = v.page.get_by_role("table", name=name, exact=True)
+    found.wait_for()
+    return found
+
+
+def focused(v: ViserPage) -> str:
+    return v.page.evaluate("() => document.activeElement?.dataset?.focus ?? ''")
+
+
+def shown_names(v: ViserPage, name: str) -> list[str]:
+    script = "n => [...document.querySelectorAll(`table[aria-label='${n}'] tbody tr`)].map(r => r.dataset.row)"
+    return v.page.evaluate(script, name)
+
+
+def test_a_heading_sorts_up_down_and_back(session: Session) -> None:
+    app, v = session
+    points = table(v)
+    first = shown_names(v, "Points")
+    heading = points.locator("th", has_text="Z").first.get_by_role("button")
+    heading.click()
+    v.wait_until(lambda: shown_names(v, "Points") == [r.name for r in rows_of(app.state, "points")[0]] != first, "sorted")
+    assert points.locator("th[aria-sort=ascending]").count() == 1
+    z = [float(box.input_value()) for box in points.locator("input[data-focus^='points/Z/']").all()]
+    assert z == sorted(z)
+    heading.click()
+    v.wait_until(lambda: points.locator("th[aria-sort=descending]").count() == 1, "the other way")
+    heading.click()
+    v.wait_until(lambda: shown_names(v, "Points") == first, "as in the file")
+
+
+def test_a_standard_error_typed_solves_again(session: Session) -> None:
+    app, v = session
+    name = app.state.control()[1]
+    old = app.state.solution("perspective")
+    box = table(v).locator(f"input[data-focus='points/sZ/{name}']")
+    box.fill("0.5")
+    box.press("Enter")
+    j = app.state.block.point_index(name)
+    v.wait_until(lambda: app.state.block.points.sigma[j, 2] == 0.5, "the standard error")
+    settle(app, v)
+    new = app.state.solution("perspective")
+    assert old and new and old.orientation and new.orientation
+    assert not np.allclose(new.orientation.covariance, old.orientation.covariance, rtol=1e-6)
+    v.wait_until(lambda: focused(v) == f"points/sZ/{name}", "the focus to stay")
+
+
+def test_nonsense_typed_is_a_sentence(session: Session) -> None:
+    app, v = session
+    name = app.state.control()[1]
+    box = table(v).locator(f"input[data-focus='points/X/{name}']")
+    box.fill("<b>here")
+    box.press("Enter")
+    v.wait_until(lambda: app.state.message.startswith(f"{name} X: '<b>here' is not a number"), "the sentence")
+    v.open_tab("Orientation")
+    v.page.get_by_text(f"{name} X: '<b>here' is not a number").wait_for()
+
+
+def test_the_keyboard_alone_walks_switches_and_edits(session: Session) -> None:
+    app, v = session
+    table(v)
+    names = shown_names(v, "Points")
+    v.page.locator(f"[data-focus='points/on/{names[0]}']").focus()
+    for name in names[1:3]:
+        v.page.keyboard.press("ArrowDown")
+        assert focused(v) == f"points/on/{name}"
+    v.page.keyboard.press("Space")
+    v.wait_until(lambda: names[2] in app.state.work.off and not app.state.playing, "the point to be off")
+    settle(app, v)
+    v.wait_until(lambda: focused(v) == f"points/on/{names[2]}", "the focus to stay")
+    v.page.keyboard.press("ArrowUp")
+    assert focused(v) == f"points/on/{names[1]}"
+    v.page.keyboard.press("Enter")
+    v.wait_until(lambda: names[1] in app.state.work.off, "the other point to be off")
+
+
+def test_typing_outlives_the_table_being_drawn_anew(session: Session) -> None:
+    app, v = session
+    name = app.state.control()[1]
+    box = table(v).locator(f"input[data-focus='points/Y/{name}']")
+    box.fill("123.")
+    other = app.state.control()[4]
+    app.emit(SwitchPoint(other))
+    settle(app, v)
+    v.wait_until(lambda: v.page.locator(f"[data-focus='points/on/{other}']").inner_text() == "☐", "the table drawn anew")
+    assert box.input_value() == "123." and focused(v) == f"points/Y/{name}"
+    box.press("Escape")
+    v.wait_until(lambda: box.input_value() != "123.", "the old value")
+    assert app.state.block.points.xyz[app.state.block.point_index(name), 1] != 123.0
+
+
+def test_the_place_scrolled_to_stays(session: Session) -> None:
+    app, v = session
+    points = table(v)
+    last = shown_names(v, "Points")[-1]
+    points.locator(f"tr[data-row='{last}']").scroll_into_view_if_needed()
+    top = v.page.evaluate("() => document.querySelector('[data-keep=points]').scrollTop")
+    v.page.locator(f"[data-focus='points/on/{last}']").click()
+    v.wait_until(lambda: last in app.state.work.off, "the point to be off")
+    settle(app, v)
+    assert v.page.evaluate("() => document.querySelector('[data-keep=points]').scrollTop") == top
+
+
+def test_control_becomes_check(session: Session) -> None:
+    app, v = session
+    name = app.state.control()[3]
+    table(v)
+    v.page.locator(f"[data-focus='points/role/{name}']").click()
+    v.wait_until(lambda: name not in app.state.control(), "the check point")
+    settle(app, v)
+    solution = app.state.solution("perspective")
+    assert solution and solution.orientation and name not in solution.orientation.points
+    v.wait_until(lambda: v.page.locator(f"[data-focus='points/role/{name}']").inner_text() == "check", "the table")
+
+
+def test_a_name_flies_there_in_the_browser_that_asked(session: Session) -> None:
+    app, v = session
+    name = app.state.control()[2]
+    table(v)
+    v.page.locator(f"[data-focus='points/name/{name}']").click()
+    at = app.state.assets.frame.to_local(app.state.block.points.xyz[[app.state.block.point_index(name)]])[0]
+
+    def there() -> bool:
+        camera = next(iter(app.server.get_clients().values())).camera
+        return app.state.point == name and bool(np.linalg.norm(np.array(camera.look_at) - at) < 1e-3)
+
+    v.wait_until(there, "the flight")
+
+
+def test_an_image_is_chosen_from_the_list(session: Session) -> None:
+    app, v = session
+    first, other = app.state.image, app.state.block.images[-1].name
+    images = table(v, "Images", "Image list")
+    assert all(s in ("✓ solved", "½ one model") for s in images.locator("tbody tr td:nth-child(2)").all_inner_texts())
+    drawn = images.locator("tbody tr span[class^=collinea-t]").first.evaluate("e => getComputedStyle(e).backgroundImage")
+    assert drawn.startswith('url("data:image/jpeg')
+    v.page.locator(f"[data-focus='images/name/{other}']").press("Enter")
+    v.wait_until(lambda: app.state.image == other, "the image")
+    v.wait_until(lambda: "font-weight" in (images.locator(f"tr[data-row='{other}']").get_attribute("style") or ""), "its row")
+    app.emit(ChooseImage(first))
+    settle(app, v)
+
+
+def test_every_orientation_stands_with_its_standard_errors(session: Session) -> None:
+    app, v = session
+    words = table(v, "Images", "All orientations").inner_text()
+    solution = app.state.solution("perspective")
+    assert solution and solution.orientation and words.count("±") == 6 * len(app.state.block.images)
+    assert f"{solution.orientation.exterior.centre[0]:.1f}" in words
+
+
+def test_a_table_is_downloaded_as_csv(session: Session) -> None:
+    _, v = session
+    table(v)
+    v.click_button("Points as CSV")
+    link = v.page.locator("a[download='points.csv']")
+    link.wait_for()
+    with v.page.expect_download() as download:
+        link.click()
+    text = open(download.value.path(), encoding="utf-8").read()
+    assert text.splitlines()[0].startswith("on,point,role,v [px]") and len(text.splitlines()) == 1 + len(shown_names(v, "Points"))
+    v.dismiss_notifications()
+
+
+def test_names_are_filtered(session: Session) -> None:
+    _, v = session
+    table(v)
+    every = shown_names(v, "Points")
+    v.set_text("Names shown", every[1])
+    v.wait_until(lambda: shown_names(v, "Points") == [every[1]], "one row")
+    v.set_text("Names shown", "")
+    v.wait_until(lambda: shown_names(v, "Points") == every, "all rows")

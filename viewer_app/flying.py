@@ -1,0 +1,55 @@
+"""Where a browser should look: at a point or an image. What is chosen changes for all, the view for who asked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .acting import Action, handles, update
+from .actions import ChooseImage, ChoosePoint
+from .ground import site
+from .scene import any_exterior, frustum_depth
+from .state import State
+
+
+@dataclass(frozen=True)
+class Fly(Action):
+    """Choose a point or an image and let the browser that asked look at it. client: its number, None for all."""
+
+    what: str
+    name: str
+    client: int | None = None
+
+
+@handles(Fly)
+def _fly(state: State, action: Fly) -> State:
+    if action.what == "point":
+        return update(state, ChoosePoint(action.name))
+    return update(state, ChooseImage(action.name)) if action.what == "image" else state
+
+
+def flight(state: State, action: Fly, position: np.ndarray, look_at: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Position (3,) and point looked at (3,) [m, local] that show it from where one looks now; None where it has no place."""
+    if action.what == "point" and action.name in state.block.points.names:
+        at = state.assets.frame.to_local(state.block.points.xyz[[state.block.point_index(action.name)]])[0]
+        low, high = site(state)
+        far = 0.35 * float(np.linalg.norm(high - low))
+    elif action.what == "image" and any(i.name == action.name for i in state.block.images):
+        exterior, depth = any_exterior(state, action.name), frustum_depth(state)
+        if exterior is None:
+            return None
+        at, far = exterior.centre - exterior.m[2] * depth, 6.0 * depth
+    else:
+        return None
+    if not np.isfinite(at).all():
+        return None
+    way = np.asarray(position, float) - look_at
+    length = float(np.linalg.norm(way))
+    way = way / length if length > 1e-9 else np.array([0.4, -0.8, 0.45])
+    return at + far * way, at
+
+
+def asked_by(action: Action, client: int | None) -> Action:
+    """The action with the number of the browser that asked, where that matters."""
+    return replace(action, client=client) if isinstance(action, Fly) else action
