@@ -15,7 +15,8 @@ from solvers.cli import main
 
 ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-NAMES = {"cv2": "opencv-python-headless", "PIL": "pillow", "rerun": "rerun-sdk", "rerun_bindings": "rerun-sdk",
+NAMES = {"cv2": "opencv-python-headless", "PIL": "pillow", "rerun": "rerun-sdk", "rerun_cli": "rerun-sdk",
+         "rerun_bindings": "rerun-sdk",
          "tomli_w": "tomli-w"}
 CARRIED = {"msgspec": "viser", "websockets": "viser", "zstandard": "viser", "imageio": "viser", "pyarrow": "rerun-sdk",
            "affine": "rasterio", "starlette": "viser"}
@@ -45,7 +46,7 @@ def test_the_viewer_starts_as_a_module_too():
 def test_the_wheel_holds_the_product_alone():
     tool = PROJECT["tool"]["setuptools"]
     assert tool["packages"]["find"]["include"] == ["solvers*", "viewer_app*"]
-    files = [f for pattern in sum(tool["data-files"].values(), []) for f in ROOT.glob(pattern)]
+    files = [f for patterns in tool["data-files"].values() for pattern in patterns for f in ROOT.glob(pattern)]
     assert files and all(f.is_relative_to(ROOT / "assets" / "demo") for f in files)
     assert sum(f.stat().st_size for f in files) < 8_000_000
 
