@@ -56,9 +56,13 @@ def _adjust(args: argparse.Namespace) -> int:
     from viewer_app.rerun_bundle import record_bundle
 
     from .report_bundle import adjusted_text
-    from .workflows_bundle import adjust_project
+    from .workflows_bundle import adjust_bal, adjust_project
 
-    done = adjust_project(_where(args), "adjust", record_bundle, **_request(args))
+    if args.bal:
+        given = {"loss": args.loss} if args.robust else {}
+        done = adjust_bal(args.bal, **given)
+    else:
+        done = adjust_project(_where(args), "adjust", record_bundle, **_request(args))
     return emit(args, done.to_json(), adjusted_text(done))
 
 

@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from .adjustment import Trace, iterate
+from .adjustment import Options, Trace, iterate
 from .block import Block
 from .errors import DegenerateGeometry
-from .io import new_run, read_project, save_trace, write_json
+from .io import new_run, read_bal, read_project, save_trace, write_json
 from .orientation import Adjusted, BundleRequest
 from .orientation.bundle import BundleStart, conclude_bundle, prepare_bundle
 
 BundleRecorder = Callable[[Path, Block, Adjusted], object]
 """record(path, block, adjusted): writes recording.rrd."""
+
+
+BAL: dict[str, Any] = {"datum": "free", "free": ("c", "k1", "k2"), "start": "given"}
+IN_THE_LARGE = Options(max_iterations=100, max_trials=20, step_tolerance=1e-6, cost_tolerance=1e-9)
+"""Points near infinity make such problems end slowly, at a cost that no longer falls."""
 
 
 class AdjustedProject(NamedTuple):
@@ -54,10 +60,20 @@ def adjust_project(folder: Path | str, command: str = "adjust", recorder: Bundle
     return done
 
 
-def adjust_block(block: Block, **options: Any) -> Adjusted:
+def adjust_bal(path: Path | str, **options: Any) -> AdjustedProject:
+    """Adjust a problem in the large from its own start, free network, f, k1, k2 of every image; leaves no run.
+
+    options: as in `BundleRequest`, in place of these. Raises PhotogrammetryError.
+    """
+    block = read_bal(path)
+    return AdjustedProject(block, adjust_block(block, IN_THE_LARGE, **{**BAL, **options}), None)
+
+
+def adjust_block(block: Block, engine: Options | None = None, **options: Any) -> Adjusted:
     """Prepare, iterate, conclude. Raises PhotogrammetryError, also where numbers run out of range."""
     try:
         start: BundleStart = prepare_bundle(block, BundleRequest(**options))
+        start = start if engine is None else replace(start, options=engine)
         return conclude_bundle(start, Trace(tuple(iterate(start.problem, start.x0, start.options)), start.manifest))
     except np.linalg.LinAlgError as error:
         raise DegenerateGeometry(f"{block.name}: the numbers do not fit together ({error}); look for a point, a pixel or a "

@@ -71,15 +71,13 @@ class Reduced:
 class Schur:
     """Normal equations whose points are eliminated anew for every damping.
 
-    reduce(damping) gives the reduced system; expand(dx_images (n,), dx_border (k,), damping) the points' step; project, if
-    given, takes out of a step what the datum forbids.
+    reduce(damping) gives the reduced system; expand(dx_images (n,), dx_border (k,), damping) the points' step.
     """
 
     gradient: np.ndarray
     scale: np.ndarray
     reduce: Callable[[float], Reduced]
     expand: Callable[[np.ndarray, np.ndarray, float], np.ndarray]
-    project: Callable[[np.ndarray], np.ndarray] | None = None
 
     def step(self, damping: float) -> tuple[np.ndarray, np.ndarray]:
         reduced = self.reduce(damping)
@@ -88,7 +86,7 @@ class Schur:
         except np.linalg.LinAlgError:
             return np.full(len(self.gradient), np.nan), np.zeros(0)
         dx = np.concatenate([images[:, 0], shared[:, 0], self.expand(images[:, 0], shared[:, 0], damping)])
-        return (self.project(dx) if self.project else dx), np.zeros(0)
+        return dx, np.zeros(0)
 
 
 __all__ = ["Factor", "Pattern", "Reduced", "Schur"]

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
 from ..errors import BadProject
-from .distortion import TERMS, correct, distort
+from .distortion import TERMS, correct, correct_derivatives, correct_jacobian, distort
 
 PARAMETERS = ("c", "xp", "yp", *TERMS)
 """The ten parameters (plus b1, b2) in their order everywhere; mm and powers of mm, see `distortion.TERMS`."""
@@ -37,6 +38,9 @@ class Interior:
     pixel_mm: float | tuple[float, float] = field(kw_only=True)
     width: int = field(kw_only=True)
     height: int = field(kw_only=True)
+
+    kind: ClassVar[str] = "correction"
+    front: ClassVar[bool] = True  # only what lies in front is seen
 
     def __post_init__(self) -> None:
         pitch = tuple(float(p) for p in np.atleast_1d(np.asarray(self.pixel_mm, float)))
@@ -85,11 +89,28 @@ class Interior:
 
     def ideal(self, pixels: np.ndarray) -> np.ndarray:
         """Ideal coordinates (..., 2) mm: pixels corrected for distortion and reduced to the principal point."""
-        return correct(self.coefficients, self.photo(pixels) - self.principal_point)
+        return self.undistorted(self.photo(pixels) - self.principal_point)
 
     def measured(self, ideal: np.ndarray) -> np.ndarray:
         """Pixels (..., 2) at which ideal coordinates (..., 2) mm appear: the inverse of `ideal` (NaN where there is none)."""
-        return self.pixels(distort(self.coefficients, np.asarray(ideal, float)) + self.principal_point)
+        return self.pixels(self.distorted(np.asarray(ideal, float)) + self.principal_point)
+
+    def distorted(self, ideal: np.ndarray) -> np.ndarray:
+        """Measured coordinates (..., 2) mm, reduced, of ideal ones (..., 2) mm; NaN where there are none."""
+        return distort(self.coefficients, ideal)
+
+    def undistorted(self, reduced: np.ndarray) -> np.ndarray:
+        """Ideal coordinates (..., 2) mm of measured, reduced ones (..., 2) mm."""
+        return correct(self.coefficients, reduced)
+
+    def slope(self, ideal: np.ndarray, reduced: np.ndarray) -> np.ndarray:
+        """(n, 2, 2) d measured / d ideal."""
+        return np.linalg.inv(correct_jacobian(self.coefficients, reduced))
+
+    def by_parameters(self, ideal: np.ndarray, reduced: np.ndarray, slope: np.ndarray) -> np.ndarray:
+        """(n, 2, 8) d measured / d(c, k1 .. b2); the object point stays where it is."""
+        by_c = slope @ (ideal / self.c)[:, :, None]
+        return np.concatenate([by_c, -slope @ correct_derivatives(reduced)], axis=2)
 
     def inside(self, pixels: np.ndarray, margin: float = 0.0) -> np.ndarray:
         """(...,) whether pixels lie on the format, pixel edges included, with a margin in pixels."""

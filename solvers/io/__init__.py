@@ -2,6 +2,7 @@
 
 from . import assemble, crs
 from .arrays import ArrayFolder
+from .bal import read_bal
 from .demo import demo_assets, demo_copy
 from .exif import Exif, read_exif
 from .files import jsonable, write_json
@@ -29,7 +30,7 @@ from .telemetry import read_flight_log, read_mrk, read_positions
 
 __all__ = ["ArrayFolder", "Ask", "ControlList", "Exif", "Thumbnail", "assemble", "check_photos", "crs", "demo_assets",
            "demo_copy", "find_geoid", "jsonable", "latest_run", "load_trace", "new_run", "photo_path", "photo_size",
-           "photo_state", "photo_time", "photo_window", "read_control", "read_exif", "read_flight_log", "read_heights",
-           "read_mrk", "read_onboard", "read_photo", "read_positions", "read_project", "read_surface", "read_truth",
-           "save_trace", "surface_path", "thumbnail", "trace_name", "write_heights", "write_image", "write_json",
-           "write_observation_table", "write_observations", "write_priors", "write_project", "write_tables"]
+           "photo_state", "photo_time", "photo_window", "read_bal", "read_control", "read_exif", "read_flight_log",
+           "read_heights", "read_mrk", "read_onboard", "read_photo", "read_positions", "read_project", "read_surface",
+           "read_truth", "save_trace", "surface_path", "thumbnail", "trace_name", "write_heights", "write_image",
+           "write_json", "write_observation_table", "write_observations", "write_priors", "write_project", "write_tables"]

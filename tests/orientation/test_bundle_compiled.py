@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from solvers.adjustment import solve
+from solvers.cameras import Forward
 from solvers.orientation.bundle import Bundle, BundleRequest, adjust, prepare_bundle
 from solvers.orientation.bundle.compiled import Compiled
 from solvers.orientation.bundle.statistics import defects, statistics
@@ -18,7 +19,15 @@ def fixed(block):
     return replace(block, points=replace(block.points, sigma=np.zeros_like(block.points.sigma)))
 
 
+def forward(block):
+    """The same block seen by a forward camera."""
+    ten = (35.0, 0.05, -0.03, -0.02, 0.01, -0.005, 1e-4, -2e-4, 1e-4, -1e-4)
+    lens = Forward(*ten, pixel_mm=23.5 / 6000, width=6000, height=4000)
+    return replace(block, cameras={"camera": lens})
+
+
 @pytest.mark.parametrize(("request_", "change"), [
+    (BundleRequest(free=ALL_TEN, loss="huber"), forward),
     (BundleRequest(), None), (BundleRequest(free=ALL_TEN, datum="both"), None), (BundleRequest(free=ALL_TEN), fixed),
     (BundleRequest(free=ALL_TEN, loss="huber"), None), (BundleRequest(free=ALL_TEN, loss="cauchy"), None),
     (BundleRequest(free=ALL_TEN, loss="danish"), None),

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from solvers import Block, Image, Interior, Observations, Points
-from solvers.io import read_control
-from solvers.orientation.bundle import adjust
+from solvers.io import read_bal, read_control
+from solvers.orientation.bundle import BundleRequest, adjust, prepare_bundle
 
 SXB = ("8811", "8936", "8937", "8938", "9111")
 
@@ -53,3 +53,11 @@ def test_strasbourg_control_in_feet_is_named(strasbourg: Block) -> None:
     xyz[j, 2] /= 0.3048
     got = adjust(replace(strasbourg, points=replace(strasbourg.points, xyz=xyz)))
     assert got.suspects and got.suspects[0]["point"] == "375"
+
+
+def test_ladybug_starts_where_everybody_starts(data: Path) -> None:
+    """The 49 cameras of Agarwal et al. 2010: 850,912.46 at the start (and 13,344.24 at the end: too long for a test)."""
+    block = read_bal(data / "bal" / "problem-49-7776-pre.txt")
+    start = prepare_bundle(block, BundleRequest(datum="free", free=("c", "k1", "k2"), start="given"))
+    assert start.problem.network.sizes == (49, 147, 7776) and len(start.problem.network.image) == 31843
+    assert start.problem.cost(start.x0) == pytest.approx(850_912.46, abs=0.01)

@@ -3,7 +3,9 @@
 Observations are sorted by point; a kernel works on the points p0 .. p1 and writes only where its thread may, so that any
 number of threads can work at once (they hold no lock of Python). Derivatives are made anew in every pass: cheaper than
 keeping them. Poses are rows X, Y, Z, m11 .. m33; cameras are rows of the ten parameters followed by
-(9 + 1..) 1/pitch x, 1/pitch y, middle column, middle row, squared radius of the fold, 1 where any coefficient is not zero.
+(9 + 1..) 1/pitch x, 1/pitch y, middle column, middle row, squared radius of the fold, and the kind: 0 without distortion, 1 where
+the coefficients correct what was measured, 2 where they distort what is ideal (`cameras.Forward`), 3 where such a camera
+sees also what is behind it (`Unsided`).
 """
 
 from typing import Any
@@ -63,6 +65,21 @@ def invert(k, xi, yi, x, y, found):
 
 
 @part
+def bend(k, u, v):
+    """Where a forward camera shows the normalised ideal point (u, v): x, y [mm], and their derivatives by the ideal point."""
+    r2 = u * u + v * v
+    radial = r2 * (k[3] + r2 * (k[4] + r2 * k[5]))
+    slope = 2.0 * (k[3] + r2 * (2.0 * k[4] + r2 * 3.0 * k[5]))
+    x = k[0] * (u + u * radial + k[6] * (r2 + 2.0 * u * u) + 2.0 * k[7] * u * v + k[8] * u + k[9] * v)
+    y = k[0] * (v + v * radial + k[7] * (r2 + 2.0 * v * v) + 2.0 * k[6] * u * v)
+    j00 = 1.0 + radial + slope * u * u + 6.0 * k[6] * u + 2.0 * k[7] * v + k[8]
+    j01 = slope * u * v + 2.0 * k[6] * v + 2.0 * k[7] * u + k[9]
+    j10 = slope * u * v + 2.0 * k[7] * u + 2.0 * k[6] * v
+    j11 = 1.0 + radial + slope * v * v + 6.0 * k[7] * v + 2.0 * k[6] * u
+    return x, y, j00, j01, j10, j11
+
+
+@part
 def see(poses, i, cameras, c, points, p, pixel, o, scale, r, J, interior, photo, found):
     """Weighted residual r (2,), observed minus projected, and derivatives of the projection J (2, 19): centre, rotation, point
     and, where asked for, the ten interior parameters. False where the point cannot be seen. photo (o, 2): where the point is
@@ -75,7 +92,7 @@ def see(poses, i, cameras, c, points, p, pixel, o, scale, r, J, interior, photo,
     u = poses[i, 3] * ex + poses[i, 4] * ey + poses[i, 5] * ez
     v = poses[i, 6] * ex + poses[i, 7] * ey + poses[i, 8] * ez
     w = poses[i, 9] * ex + poses[i, 10] * ey + poses[i, 11] * ez
-    if not w < 0.0:
+    if not (w < 0.0 or (k[15] > 2.5 and w > 0.0)):
         return False
     s = -1.0 / w
     q = k[0] * s
@@ -83,7 +100,14 @@ def see(poses, i, cameras, c, points, p, pixel, o, scale, r, J, interior, photo,
     yi = v * q
     sx = k[10] * weight
     sy = -k[11] * weight
-    if k[15] != 0.0:
+    forward = k[15] > 1.5
+    if forward:
+        x, y, b00, b01, b10, b11 = bend(k, u * s, v * s)
+        b00 *= sx
+        b01 *= sx
+        b10 *= sy
+        b11 *= sy
+    elif k[15] != 0.0:
         if found:
             x = photo[o, 0]
             y = photo[o, 1]
@@ -121,7 +145,23 @@ def see(poses, i, cameras, c, points, p, pixel, o, scale, r, J, interior, photo,
         J[e, 3] = v * a2 - w * a1
         J[e, 4] = w * a0 - u * a2
         J[e, 5] = u * a1 - v * a0
-        if interior:
+        if interior and forward:
+            d = sx if e == 0 else sy
+            m = u * s
+            n = v * s
+            r2 = m * m + n * n
+            J[e, 9] = d * (x if e == 0 else y) / k[0]
+            J[e, 10] = sx if e == 0 else 0.0
+            J[e, 11] = 0.0 if e == 0 else sy
+            d *= k[0]
+            J[e, 12] = d * (m if e == 0 else n) * r2
+            J[e, 13] = J[e, 12] * r2
+            J[e, 14] = J[e, 13] * r2
+            J[e, 15] = d * ((r2 + 2.0 * m * m) if e == 0 else 2.0 * m * n)
+            J[e, 16] = d * (2.0 * m * n if e == 0 else (r2 + 2.0 * n * n))
+            J[e, 17] = d * m if e == 0 else 0.0
+            J[e, 18] = d * n if e == 0 else 0.0
+        elif interior:
             r2 = x * x + y * y
             g0 = x * r2
             g1 = y * r2
@@ -166,12 +206,14 @@ def cost(p0, p1, start, image, camera, pixel, weight, kind, poses, cameras, poin
             u = poses[i, 3] * a + poses[i, 4] * b + poses[i, 5] * c
             v = poses[i, 6] * a + poses[i, 7] * b + poses[i, 8] * c
             w = poses[i, 9] * a + poses[i, 10] * b + poses[i, 11] * c
-            if not w < 0.0:
+            if not (w < 0.0 or (k[15] > 2.5 and w > 0.0)):
                 return np.inf
             q = -k[0] / w
             x = u * q
             y = v * q
-            if k[15] != 0.0:
+            if k[15] > 1.5:
+                x, y, _, _, _, _ = bend(k, -u / w, -v / w)
+            elif k[15] != 0.0:
                 xi = x
                 yi = y
                 x = (pixel[o, 0] - k[12]) / k[10] - k[1]

@@ -18,6 +18,10 @@ from .network import Network
 KINDS = {None: 0, "huber": 1, "cauchy": 2, "danish": 3}
 
 
+LOOSE = 1e-9
+"""Share by which the normal matrix of a point whose rays are parallel is raised to be inverted."""
+
+
 @dataclass(frozen=True)
 class Gathered:
     """Normal equations at x before elimination, priors and weighted points in them; V (n, 6) lower, q (n, 3)."""
@@ -97,7 +101,8 @@ class Compiled:
         return float(sum(self._each(lambda _, a, b: self._kernels.cost(a, b, *at))))
 
     def gather(self, x: np.ndarray, priors: tuple[np.ndarray, np.ndarray], inner: Inner | None) -> Gathered:
-        """Normal equations at x. A free network gets a minimal datum, of which nothing is left once the inner one is applied."""
+        """Normal equations at x. A free network gets a minimal datum, of which nothing is left once `retract` restores the inner
+        one: what the inner constraints take out of a step would be large where points are far, and spoil its prediction."""
         net, t = self.network, self.threads
         m, f, live = net.sizes
         photo = np.empty((len(net.image), 2))  # filled by this pass, read by those after it
@@ -153,7 +158,11 @@ class Compiled:
             return self.expand(made, images[:, None], shared[:, None], made.q[:, None, :], damping).ravel()
 
         return Schur(np.concatenate([made.g.ravel(), made.h, made.q.ravel()]), scale, lambda damping: self.reduce(made, damping),
-                     expand, _projection(self.network, x, inner) if inner else None)
+                     expand)
+
+    def loose(self, x: np.ndarray, priors: tuple[np.ndarray, np.ndarray], inner: Inner | None) -> np.ndarray:
+        """Unknown points whose rays leave their depth open; `judge` gives them lower bounds of their standard errors."""
+        return loose(self.gather(x, priors, inner).V)
 
     def judge(self, x: np.ndarray, priors: tuple[np.ndarray, np.ndarray], inner: Inner | None,
               observations: bool = True) -> tuple[np.ndarray, ...]:
@@ -166,6 +175,7 @@ class Compiled:
         net = self.network
         m, f, live = net.sizes
         made = self.gather(x, priors, inner)
+        made.V[loose(made.V)[:, None], [0, 2, 5]] *= 1 + LOOSE
         reduced = self.reduce(made, 0.0)
         q, qb, qc = reduced.inverse()
         qb = np.ascontiguousarray(qb.reshape(m, 6, f))
@@ -229,9 +239,10 @@ class Compiled:
         return list(whole.T)
 
 
-def _projection(network: Network, x: np.ndarray, inner: Inner) -> Callable[[np.ndarray], np.ndarray]:
-    """What takes the seven motions out of a step."""
-    g = motions(network, x)
-    h = inner.rows_of(network, g)
-    small = h @ g
-    return lambda dx: dx - g @ np.linalg.solve(small, h @ dx)
+
+def loose(v: np.ndarray) -> np.ndarray:
+    """Points, among normal blocks (n, 6) lower, that are singular to round-off although each diagonal is not."""
+    scale = np.sqrt(np.maximum(v[:, [0, 2, 5]], np.finfo(float).tiny))
+    a, b, c = v[:, 1] / scale[:, 1] / scale[:, 0], v[:, 3] / scale[:, 2] / scale[:, 0], v[:, 4] / scale[:, 2] / scale[:, 1]
+    determinant = 1 + 2 * a * b * c - a * a - b * b - c * c
+    return np.flatnonzero((determinant < 1e-12) & (v[:, [0, 2, 5]] > 0).all(axis=1))

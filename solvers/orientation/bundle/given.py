@@ -16,7 +16,7 @@ from ..single import given_prior
 from .network import Network
 
 Datum = Literal["control", "prior", "both", "free"]
-Begin = Literal["auto", "resection", "dlt", "affine", "prior", "relative"]
+Begin = Literal["auto", "resection", "dlt", "affine", "prior", "relative", "given"]
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,8 @@ class BundleRequest:
     "free" (inner constraints on the points whose coordinates are given, on all where fewer than three are).
     free: interior parameters adjusted, for every camera, or for each by name. loss: "huber", "cauchy" or "danish", None for
     least squares. start: how to begin: "auto" (resection, then over tie points, then priors, then a relative orientation),
-    or only "resection", "dlt" or "affine" (the linear models over control), "prior" or "relative". compiled: None lets the size
-    decide.
+    or only "resection", "dlt" or "affine" (the linear models over control), "prior" or "relative", or "given" (the images'
+    priors and all coordinates of points as they are). compiled: None lets the size decide.
     model: "orthogonal" is Ono & Hattori's, for long focal lengths; its transform is "iterated" (rays made parallel anew in every
     iteration) or "frozen" (kept as the start values make them).
     """

@@ -82,7 +82,7 @@ class Network:
 
     def interiors_at(self, x: np.ndarray) -> tuple[Interior, ...]:
         """Interior orientations of x."""
-        return tuple(Interior(*map(float, row), pixel_mm=i.pixel_mm, width=i.width, height=i.height)
+        return tuple(type(i)(*map(float, row), pixel_mm=i.pixel_mm, width=i.width, height=i.height)
                      for i, row in zip(self.interiors, self.split(x)[1], strict=True))
 
     def camera_rows(self, parameters: np.ndarray) -> np.ndarray:
@@ -92,8 +92,9 @@ class Network:
         for row, interior in zip(out, self.interiors, strict=True):
             row[10:12] = 1 / interior.pitch
             row[12:14] = (interior.width - 1) / 2, (interior.height - 1) / 2
-            row[14] = fold(*map(float, row[3:6])) if row[3:6].any() else np.inf
-            row[15] = float(row[3:10].any())
+            other = {"forward": 2.0, "unsided": 3.0}.get(interior.kind)
+            row[14] = fold(*map(float, row[3:6])) if row[3:6].any() and other is None else np.inf
+            row[15] = float(row[3:10].any()) if other is None else other
         return out
 
     @cached_property

@@ -107,6 +107,10 @@ def described(data: Given, problem: Bundle, trace: Trace, stats: Statistics, sai
     warnings = [*said, *bad_fit(trace.last.cost, problem.dof)]
     if not trace.converged:
         warnings.insert(0, f"did not converge: stopped by '{trace.last.stop}' after {trace.iterations} iterations; do not use")
+    if stats.loose:
+        shown = ", ".join(net.points[n] for n in stats.loose[:6]) + (" ..." if len(stats.loose) > 6 else "")
+        warnings.append(f"the rays to {len(stats.loose)} point(s) are parallel and leave the depth open: {shown}; their standard "
+                        "errors are lower bounds")
     names = tuple((c, p) for c, free in zip(net.cameras, net.free, strict=True) for p in free)
     warnings += _correlated(names, stats.interior)
     suspects = _suspects(problem, v, stats, points)

@@ -37,15 +37,15 @@ def start(data: Given) -> tuple[dict[int, Exterior], np.ndarray, list[str]]:
         poses = {i: e for i in images if (e := first(data, i, known, least)) is not None}
         if poses:
             _grow(data, poses, images, known)
-    if how == "prior" or (how == "auto" and len(poses) < len(images)):
+    if how in ("prior", "given") or (how == "auto" and len(poses) < len(images)):
         at_once = not poses
         for i in images:
             if i not in poses and (e := _prior(data, i)) is not None:
                 poses[i] = e
-        if how == "prior" and len(poses) < len(images):
+        if how in ("prior", "given") and len(poses) < len(images):
             raise DegenerateGeometry(f"{data.block.name}: {len(images) - len(poses)} image(s) have no complete prior to start "
                                      "from; take another start")
-        if at_once and poses:
+        if at_once and poses and how == "auto":
             _grow(data, poses, images, known)
     if not poses and how in ("auto", "relative"):
         poses = _relative(data, images)
@@ -54,9 +54,9 @@ def start(data: Given) -> tuple[dict[int, Exterior], np.ndarray, list[str]]:
     if not poses:
         raise DegenerateGeometry(f"{data.block.name}: no image has enough control to begin (four points that are not on a line), "
                                  "there is no prior, and no pair of images shares enough tie points")
-    xyz = points(data, poses)
+    xyz = known.copy() if how == "given" else points(data, poses)
     missing = ~np.isfinite(xyz).all(axis=1)
-    xyz[missing] = known[missing]
+    xyz[missing] = points(data, poses)[missing] if how == "given" else known[missing]
     _behind(data, poses, xyz)
     return poses, xyz, said
 

@@ -22,7 +22,8 @@ ELEMENTS = ("X", "Y", "Z", "rotation 1", "rotation 2", "rotation 3")
 class Statistics:
     """A priori, with the given sigmas. poses (m, 6, 6) of (centre, left rotation vector); interior (f, f); points (live, 3, 3);
     redundancy, w, detectable (o, 2) of the image observations: redundancy number, standardized residual (NaN where unchecked),
-    minimal detectable blunder [px]; factor (o,): share of its weight that a robust loss leaves to each."""
+    minimal detectable blunder [px]; factor (o,): share of its weight that a robust loss leaves to each; loose: points
+    whose rays are parallel, their standard errors lower bounds."""
 
     poses: np.ndarray
     interior: np.ndarray
@@ -31,6 +32,7 @@ class Statistics:
     w: np.ndarray
     detectable: np.ndarray
     factor: np.ndarray
+    loose: tuple[int, ...] = ()
 
 
 def statistics(problem: Bundle, x: np.ndarray) -> Statistics:
@@ -49,7 +51,8 @@ def statistics(problem: Bundle, x: np.ndarray) -> Statistics:
         root = np.sqrt(np.where(checked, redundancy, 1.0))
         sigma = (net.sigma / np.sqrt(factor))[:, None]
         return Statistics(poses, interior, points, redundancy, np.where(checked, residual / root, np.nan),
-                          np.where(checked, BAARDA_DELTA0 * sigma / root, np.inf), factor)
+                          np.where(checked, BAARDA_DELTA0 * sigma / root, np.inf), factor,
+                          tuple(map(int, problem.compiled.loose(x, problem.prior_rows(x), problem.inner))))
     if named := defects(problem, x):
         raise DegenerateGeometry(_sentence(named))
     stats, o = precision(problem.linear(x), "the bundle"), len(net.image)
