@@ -1,4 +1,4 @@
-"""Mapping a function over items: here, in processes, or over machines with dask.distributed; same code, same result."""
+"""Mapping a function over items: here, in threads, in processes, or on dask.distributed; same code, same result."""
 
 from __future__ import annotations
 
@@ -31,17 +31,20 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def each(function: Callable[[Item], Value], items: Iterable[Item], workers: int = 1,
-         scheduler: str | None = None) -> Iterator[tuple[int, Value]]:
+def each(function: Callable[[Item], Value], items: Iterable[Item], workers: int = 1, scheduler: str | None = None,
+         threads: bool = False) -> Iterator[tuple[int, Value]]:
     """(index, function(item)) of every item, in the order in which they are done.
 
-    workers: 1 runs here; more run in as many processes (function and items must be picklable). scheduler: address of a
+    workers: 1 runs here; more run in as many processes (function and items must be picklable), or threads of this process,
+    which share its memory (for functions that leave the interpreter's lock alone). scheduler: address of a
     dask.distributed scheduler ("tcp://host:8786"), whose workers are used instead. Items are taken as they are needed, so
     that a generator of large ones is never held as a whole. An exception of the function ends the mapping.
     Raises Unsupported when workers die, dask is not installed or its scheduler is not reached.
     """
     if scheduler is not None:
         yield from _on_dask(function, items, scheduler)
+    elif workers > 1 and threads:
+        yield from _in_threads(function, items, workers)
     elif workers > 1:
         yield from _in_processes(function, items, workers)
     else:
@@ -57,6 +60,24 @@ def timed(stage: str, results: Iterable[Value], total: int, report: Callable[[Pr
         if report is not None:
             seconds = time.monotonic() - start
             report(Progress(stage, done, total, seconds, seconds * max(total - done, 0) / done))
+
+
+def _in_threads(function: Callable[[Item], Value], items: Iterable[Item], workers: int) -> Iterator[tuple[int, Value]]:
+    from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+
+    numbered = enumerate(items)
+    pool = ThreadPoolExecutor(workers)
+    running: dict[Future[Value], int] = {}
+    try:
+        while True:
+            for index, item in itertools.islice(numbered, workers + 1 - len(running)):
+                running[pool.submit(function, item)] = index
+            if not running:
+                return
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                yield running.pop(future), future.result()
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _in_processes(function: Callable[[Item], Value], items: Iterable[Item], workers: int) -> Iterator[tuple[int, Value]]:

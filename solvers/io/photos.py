@@ -102,6 +102,22 @@ def read_photo(path: Path, grey: bool = True) -> np.ndarray:
     return np.round(pixels.mean(2)).astype(np.uint8) if grey else pixels
 
 
+def photo_rows(path: Path, rows: int = 256) -> Iterator[np.ndarray]:
+    """A whole photo strip by strip, uint8 (<= rows, w, 3), for photos too large to be held."""
+    with _raster(path) as data:
+        from rasterio.enums import Resampling
+        from rasterio.windows import Window
+
+        small = None if data.dtypes[0] == "uint8" else data.read(
+            _bands(data), out_shape=(3, min(data.height, 1000), min(data.width, 1000)), resampling=Resampling.nearest)
+        low, high = (0.0, 255.0) if small is None else np.percentile(small, [1, 99])
+        for top in range(0, data.height, rows):
+            strip = data.read(_bands(data), window=Window.from_slices((top, min(top + rows, data.height)), (0, data.width)))
+            picture = np.moveaxis(strip, 0, -1)
+            scaled = picture if small is None else np.clip((picture - low) * (255.0 / max(high - low, 1e-9)), 0, 255)
+            yield scaled.astype(np.uint8)
+
+
 def photo_state(path: Path) -> str:
     """A word that changes when the photo's file does."""
     state = path.stat()

@@ -1,0 +1,363 @@
+"""Mosaics written tile by tile as cloud-optimized GeoTIFF: finished tiles are kept in a folder beside the file until all are
+there, then the file appears at once, overviews first. An interrupted work goes on with the tiles that it lacks."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import shutil
+import tempfile
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
+
+from ..errors import Unsupported
+from ..geometry import Grid
+from . import tiff
+from .files import write_atomic
+from .tiff import Tag
+
+BLOCK = 512
+"""px of a block in the file; a tile has 2 x 2 of them, and is one block of the first overview."""
+LARGEST_PICTURE = 80_000_000
+"""px of a PNG or JPEG, which are held in memory as a whole."""
+COMPRESSIONS = {"deflate": {"compress": "deflate", "zlevel": 1, "predictor": 2}, "zstd": {"compress": "zstd", "zstd_level": 3,
+                                                                                           "predictor": 2},
+                "none": {}}
+
+
+class Part(NamedTuple):
+    """A tile as it will lie in the file: its four blocks, its block of the first overview, its quarter (256, 256, 4)."""
+
+    number: int
+    blocks: tuple[bytes, ...]
+    overview: bytes
+    quarter: np.ndarray
+    note: dict[str, Any]
+
+
+def encode_tile(index: int, rgba: np.ndarray, half: Callable[[np.ndarray], np.ndarray], compression: str = "deflate",
+                note: dict[str, Any] | None = None) -> Part:
+    """A tile (<= 1024, <= 1024, 4) uint8 ready for the file; half: halves the resolution of RGBA."""
+    if not rgba[..., 3].any():
+        return Part(index, (), b"", np.zeros((BLOCK // 2, BLOCK // 2, 4), np.uint8), note or {})
+    whole = np.zeros((2 * BLOCK, 2 * BLOCK, 4), np.uint8)
+    whole[:rgba.shape[0], :rgba.shape[1]] = rgba
+    smaller = half(whole)
+    return Part(index, tuple(encode(whole, compression)), encode(smaller, compression)[0], half(smaller), note or {})
+
+
+def encode(rgba: np.ndarray, compression: str) -> list[bytes]:
+    """The blocks of an RGBA picture whose sides are multiples of BLOCK, row after row, by GDAL's own codecs."""
+    from rasterio.io import MemoryFile
+
+    with _gdal(), MemoryFile() as memory:
+        with memory.open(driver="GTiff", width=rgba.shape[1], height=rgba.shape[0], count=4, dtype="uint8", tiled=True,
+                         blockxsize=BLOCK, blockysize=BLOCK, interleave="pixel", photometric="RGB", alpha="non-premultiplied",
+                         **COMPRESSIONS[compression]) as data:
+            data.write(np.moveaxis(rgba, -1, 0))
+        view = memory.getbuffer()
+        tags = tiff.read_tags(view)
+        where = zip(tags[tiff.OFFSETS].values, tags[tiff.COUNTS].values, strict=True)
+        return [bytes(view[int(a):int(a) + int(n)]) for a, n in where]
+
+
+@contextlib.contextmanager
+def _gdal() -> Iterator[None]:
+    """GDAL without its notes on what is not georeferenced yet, and with a small cache."""
+    import warnings
+
+    import rasterio
+    from rasterio.errors import NotGeoreferencedWarning
+
+    with warnings.catch_warnings(), rasterio.Env(GDAL_CACHEMAX=32 * 2**20):
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        yield
+
+
+@dataclass(frozen=True)
+class TileFolder:
+    """The finished tiles of a mosaic, one file each. plan: a word for all that the tiles depend on."""
+
+    out: Path
+    plan: str
+
+    @property
+    def folder(self) -> Path:
+        """Beside the file to be."""
+        return self.out.parent / f".{self.out.name}.parts"
+
+    def open(self) -> frozenset[int]:
+        """Make the folder, drop what another plan has left; gives the tiles that are there already, whole."""
+        about = self.folder / "plan"
+        try:
+            same = about.read_text() == self.plan
+        except (OSError, ValueError):
+            same = False
+        if not same:
+            shutil.rmtree(self.folder, ignore_errors=True)
+            self.folder.mkdir(parents=True, exist_ok=True)
+            write_atomic(about, lambda stream: stream.write(self.plan.encode()))
+        done = set()
+        for path in self.folder.glob("*.tile"):
+            if path.stem.isdigit() and self._sound(path):
+                done.add(int(path.stem))
+            else:
+                path.unlink(missing_ok=True)
+        return frozenset(done)
+
+    def keep(self, part: Part) -> None:
+        """A finished tile, whole or not at all."""
+        payload = b"".join([*part.blocks, part.overview, zlib.compress(part.quarter.tobytes(), 1)])
+        head = {"blocks": [len(b) for b in part.blocks], "overview": len(part.overview), "bytes": len(payload),
+                "crc": zlib.crc32(payload), "note": part.note}
+        handle, temporary = tempfile.mkstemp(dir=self.folder, prefix=".tile.")
+        try:
+            with os.fdopen(handle, "wb") as stream:
+                stream.write(json.dumps(head).encode() + b"\n" + payload)
+            os.replace(temporary, self._path(part.number))
+        except BaseException:
+            Path(temporary).unlink(missing_ok=True)
+            raise
+
+    def head(self, index: int) -> dict[str, Any] | None:
+        """What is known of a tile, None where no photo shows anything."""
+        try:
+            with open(self._path(index), "rb") as stream:
+                line = stream.readline()
+                head = json.loads(line)
+                return {**head, "start": len(line)} if head["blocks"] else None
+        except FileNotFoundError:
+            return None
+
+    def read(self, index: int, first: int, size: int) -> bytes:
+        """Bytes of a tile's payload."""
+        with open(self._path(index), "rb") as stream:
+            stream.readline()
+            stream.seek(first, os.SEEK_CUR)
+            return stream.read(size)
+
+    def quarter(self, index: int) -> np.ndarray:
+        """(256, 256, 4) of a tile, empty where there is none."""
+        head = self.head(index)
+        if head is None:
+            return np.zeros((BLOCK // 2, BLOCK // 2, 4), np.uint8)
+        start = sum(head["blocks"]) + head["overview"]
+        raw = zlib.decompress(self.read(index, start, head["bytes"] - start))
+        return np.frombuffer(raw, np.uint8).reshape(BLOCK // 2, BLOCK // 2, 4)
+
+    def remove(self) -> None:
+        """All of it, once the mosaic is there."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    def _path(self, index: int) -> Path:
+        return self.folder / f"{index:07d}.tile"
+
+    def _sound(self, path: Path) -> bool:
+        try:
+            with open(path, "rb") as stream:
+                head = json.loads(stream.readline())
+                payload = stream.read()
+            return len(payload) == head["bytes"] and zlib.crc32(payload) == head["crc"]
+        except (OSError, ValueError, KeyError, TypeError):
+            return False
+
+
+class _Level(NamedTuple):
+    """One resolution: size [px], blocks down and across, and where each block's bytes come from."""
+
+    width: int
+    height: int
+    rows: int
+    columns: int
+    blocks: list[tuple[Path | None, int, int]]  # file (None: the empty block), first byte of its payload, size
+
+
+def write_cog(folder: TileFolder, grid: Grid, tiles: tuple[int, int], half: Callable[[np.ndarray], np.ndarray],
+              compression: str = "deflate", out: Path | None = None) -> None:
+    """The mosaic from its finished tiles, atomically: RGBA with alpha, overviews down to one block, CRS and position.
+
+    out: another file than the folder is made for.
+    """
+    levels = _levels(folder, grid, tiles, half, compression)
+    empty = encode(np.zeros((BLOCK, BLOCK, 4), np.uint8), compression)[0]
+    total = sum(n for level in levels for _, _, n in level.blocks) + 24 * sum(len(level.blocks) for level in levels) + 2**16
+    big = total > 4_000_000_000
+    kind = tiff.LONG8 if big else tiff.LONG
+    common = _common_tags(grid, compression)
+    all_tags = []
+    for k, level in enumerate(levels):
+        zeros = Tag(kind, (0,) * len(level.blocks))
+        tags = {**common, tiff.WIDTH: Tag(tiff.LONG, (level.width,)), tiff.HEIGHT: Tag(tiff.LONG, (level.height,)),
+                tiff.OFFSETS: zeros, tiff.COUNTS: zeros, tiff.SUBFILE: Tag(tiff.LONG, (1 if k else 0,))}
+        all_tags.append(tags if k == 0 else {n: t for n, t in tags.items() if n not in tiff.GEO})
+
+    def write(stream: BinaryIO) -> None:
+        head, places = tiff.directories(all_tags, big)
+        stream.write(head)
+        nothing = stream.tell()
+        stream.write(empty)
+        for k in range(len(levels) - 1, -1, -1):
+            offsets, counts = _copy(stream, levels[k], (nothing, len(empty)))
+            for number, values in ((tiff.OFFSETS, offsets), (tiff.COUNTS, counts)):
+                stream.seek(places[k][number])
+                stream.write(tiff.packed(kind, values))
+            stream.seek(0, os.SEEK_END)
+
+    write_atomic(out or folder.out, write)
+
+
+def _copy(stream: BinaryIO, level: _Level, empty: tuple[int, int]) -> tuple[list[int], list[int]]:
+    """A level's blocks, one after the other; gives where they lie and how long they are."""
+    offsets, counts = [], []
+    for path, first, size in level.blocks:
+        if path is None:
+            offsets.append(empty[0])
+            counts.append(empty[1])
+            continue
+        offsets.append(stream.tell())
+        counts.append(size)
+        with open(path, "rb") as source:
+            source.seek(first)
+            stream.write(source.read(size))
+    return offsets, counts
+
+
+def _common_tags(grid: Grid, compression: str) -> dict[int, Tag]:
+    """Tags that all directories share, those of the place taken from what GDAL writes for the same grid."""
+    import rasterio
+    from rasterio.io import MemoryFile
+    from rasterio.transform import Affine
+
+    with _gdal(), MemoryFile() as memory:
+        with memory.open(driver="GTiff", width=BLOCK, height=BLOCK, count=4, dtype="uint8", tiled=True, blockxsize=BLOCK,
+                         blockysize=BLOCK, interleave="pixel", photometric="RGB", alpha="non-premultiplied",
+                         crs=None if grid.crs == "local" else rasterio.CRS.from_user_input(grid.crs),
+                         transform=Affine(*grid.affine), **COMPRESSIONS[compression]) as data:
+            data.write(np.zeros((4, BLOCK, BLOCK), np.uint8))
+        tags = tiff.read_tags(memory.getbuffer())
+    wanted = (tiff.BITS, tiff.COMPRESSION, tiff.PHOTOMETRIC, tiff.SAMPLES, tiff.PLANAR, tiff.PREDICTOR, tiff.TILE_WIDTH,
+              tiff.TILE_HEIGHT, tiff.EXTRA, tiff.SAMPLE_FORMAT, *tiff.GEO)
+    return {**{n: tags[n] for n in wanted if n in tags}, tiff.SOFTWARE: Tag(tiff.ASCII, b"Collinea\0")}
+
+
+def _levels(folder: TileFolder, grid: Grid, tiles: tuple[int, int], half: Callable[[np.ndarray], np.ndarray],
+            compression: str) -> list[_Level]:
+    """Full resolution and all overviews; those from the second on are made here, block row after block row."""
+    height, width = grid.shape
+    heads = [folder.head(k) for k in range(tiles[0] * tiles[1])]
+    rows, columns = -(-height // BLOCK), -(-width // BLOCK)
+    full: list[tuple[Path | None, int, int]] = []
+    for r in range(rows):
+        for c in range(columns):
+            k, b = (r // 2) * tiles[1] + c // 2, 2 * (r % 2) + c % 2
+            h = heads[k]
+            full.append((None, 0, 0) if h is None else (folder._path(k), h["start"] + sum(h["blocks"][:b]), h["blocks"][b]))
+    levels = [_Level(width, height, rows, columns, full)]
+    if max(height, width) <= BLOCK:
+        return levels
+    first: list[tuple[Path | None, int, int]]
+    first = [(None, 0, 0) if h is None else (folder._path(k), h["start"] + sum(h["blocks"]), h["overview"])
+             for k, h in enumerate(heads)]
+    levels.append(_Level(-(-width // 2), -(-height // 2), *tiles, first))
+    path = folder.folder / "overviews"
+    with open(path, "wb") as stream:
+        shape = tiles
+        makers: list[_Maker] = []
+        while max(levels[-1].width, levels[-1].height) > BLOCK:
+            shape = -(-shape[0] // 2), -(-shape[1] // 2)
+            last = levels[-1]
+            levels.append(_Level(-(-last.width // 2), -(-last.height // 2), *shape, []))
+            makers.append(_Maker(levels[-1], path, stream, half, compression))
+        if makers:
+            _fill_levels(folder, tiles, makers)
+    return levels
+
+
+@dataclass
+class _Maker:
+    """One overview being written, a row of its blocks at a time."""
+
+    level: _Level
+    path: Path
+    stream: BinaryIO
+    half: Callable[[np.ndarray], np.ndarray]
+    compression: str
+    waiting: np.ndarray | None = None
+
+    def row(self, picture: np.ndarray) -> np.ndarray:
+        """A row of blocks, (BLOCK, columns * BLOCK, 4), goes into the file; gives it at half the resolution."""
+        for c in range(self.level.columns):
+            block = picture[:, c * BLOCK:(c + 1) * BLOCK]
+            if not block[..., 3].any():
+                self.level.blocks.append((None, 0, 0))
+                continue
+            data = encode(np.ascontiguousarray(block), self.compression)[0]
+            self.level.blocks.append((self.path, self.stream.tell(), len(data)))
+            self.stream.write(data)
+        return self.half(np.ascontiguousarray(picture))
+
+    def add(self, strip: np.ndarray, last: bool) -> np.ndarray | None:
+        """Half a row of blocks, (BLOCK / 2, any, 4); with the other half (or at the end) it becomes a row, given halved."""
+        wide = np.zeros((BLOCK, self.level.columns * BLOCK, 4), np.uint8)
+        if self.waiting is None:
+            if not last:
+                self.waiting = strip
+                return None
+            wide[:BLOCK // 2, :strip.shape[1]] = strip
+        else:
+            wide[:BLOCK // 2, :self.waiting.shape[1]] = self.waiting
+            wide[BLOCK // 2:, :strip.shape[1]] = strip
+            self.waiting = None
+        return self.row(wide)
+
+
+def _fill_levels(folder: TileFolder, tiles: tuple[int, int], makers: list[_Maker]) -> None:
+    """The second overview from the tiles' quarters, every further one from the one before."""
+    for i in range(tiles[0]):
+        strip: np.ndarray | None = np.concatenate([folder.quarter(i * tiles[1] + j) for j in range(tiles[1])], axis=1)
+        end = i == tiles[0] - 1
+        for maker in makers:
+            strip = maker.add(strip, end)
+            if strip is None:
+                break
+
+
+def to_picture(raster: Path, out: Path, scale: str) -> None:
+    """A GeoTIFF as PNG (with alpha) or JPEG (white where nothing is seen), the scale told in its description. Atomic.
+
+    Raises Unsupported for pictures too large for these formats; the position goes into the world file beside it.
+    """
+    import rasterio
+    from PIL import Image, PngImagePlugin
+
+    with _gdal(), rasterio.open(raster) as data:
+        if max(data.width, data.height) > 65000 or data.width * data.height > LARGEST_PICTURE:
+            raise Unsupported(f"{out}: {data.width} x {data.height} pixels are too many for a {out.suffix[1:].upper()}; write a "
+                              ".tif or give a larger --gsd")
+        rgba = np.moveaxis(data.read(), 0, -1)
+    if out.suffix.lower() == ".png":
+        told = PngImagePlugin.PngInfo()
+        told.add_text("Description", scale)
+        write_atomic(out, lambda stream: Image.fromarray(rgba).save(stream, "PNG", pnginfo=told, compress_level=3))
+        return
+    rgb = np.where(rgba[..., 3:] > 0, rgba[..., :3], 255).astype(np.uint8)
+    write_atomic(out, lambda stream: Image.fromarray(rgb).save(stream, "JPEG", quality=92, comment=scale))
+
+
+def no_space(error: OSError) -> bool:
+    """Whether a disk is full."""
+    return error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+def full_disk(out: Path, done: int, total: int) -> Unsupported:
+    """What to say then."""
+    free = shutil.disk_usage(out.parent).free / 2**20
+    return Unsupported(f"{out}: the disk is full ({free:.0f} MB free); {done} of {total} tiles are kept beside it, make room and "
+                       "run the same command again to go on with the rest")

@@ -1,0 +1,216 @@
+"""How overlapping photos become one tile: one of them, their mean, feathered, or in bands along seam lines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from .labels import Labels
+from .lattice import Lattice, Nets, Tile
+from .placed import Placed
+from .resample import Resample, Window, compiled, warp_onto
+from .tones import Tone
+
+Blend = Literal["none", "average", "feather", "multiband"]
+BANDS = 5
+"""Octaves that are blended apart; the coarsest reaches over some 2^BANDS px."""
+MARGIN = 4 * 2**BANDS
+"""px around a tile that its coarsest band needs."""
+
+
+class Shot(NamedTuple):
+    """A photo over a tile: its lattice, its feather weight and brightness at the nodes, its seam weight or None, its place."""
+
+    photo: Placed
+    lattice: Lattice
+    feather: np.ndarray
+    bright: np.ndarray
+    label: np.ndarray | None
+    nearness: np.ndarray
+
+
+@dataclass(frozen=True)
+class Layers:
+    """What is put on a tile: photos with their tones and places (n, 2), seam labels (None: without), the numbers the labels
+    call the photos."""
+
+    photos: tuple[Placed, ...]
+    tones: tuple[Tone, ...]
+    feet: np.ndarray
+    numbers: tuple[int, ...]
+    labels: Labels | None = None
+
+
+def shots_of(nets: Nets, layers: Layers) -> list[Shot]:
+    """The photos that see a tile."""
+    shots = []
+    for k, photo in enumerate(layers.photos):
+        lattice = nets.lattice(photo)
+        if lattice is None:
+            continue
+        net, u, v = lattice.net, lattice.u, lattice.v
+        off = (net.at - layers.feet[k]) / np.linalg.norm(net.at[0, 1] - net.at[0, 0]) * lattice.step  # px
+        label = None if layers.labels is None else layers.labels.weight(layers.numbers[k], net)
+        shots.append(Shot(photo, lattice, feather(photo, u, v), np.nan_to_num(layers.tones[k].factor(photo, u, v), nan=1.0),
+                          label, -(off**2).sum(-1)))
+    return shots
+
+
+def feather(photo: Placed, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Weight that falls from 1 in the photo's middle to 0 at its edges, squared; 0 where it is not seen."""
+    wide, high = photo.interior.width, photo.interior.height
+    inside = np.minimum(np.minimum(u + 0.5, wide - 0.5 - u) / wide, np.minimum(v + 0.5, high - 0.5 - v) / high) * 2
+    return np.clip(np.nan_to_num(inside, nan=0.0), 0, 1) ** 2
+
+
+def blended(shots: Sequence[Shot], shape: tuple[int, int], blend: Blend, window: Window, method: Resample) -> tuple[np.ndarray,
+                                                                                                                    np.ndarray]:
+    """Weighted sums (h, w, 3) and weights (h, w), float32, of a tile; of blends without bands."""
+    acc, total = np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32)
+    best = blend == "none"
+    lift = -min((float(s.nearness.min()) for s in shots), default=0.0) + 1.0
+    for s in shots:
+        good = s.lattice.good
+        if s.label is not None:
+            weight, good = s.label, good & _any(s.label > 0)
+        elif best:
+            weight = (s.nearness + lift) / lift
+        else:
+            weight = np.ones_like(s.feather) if blend == "average" else s.feather
+        warp_onto(s.photo, s.lattice, weight, s.bright, good, window, method, best, acc, total)
+    if best:
+        total[total > 0] = 1
+    if any(s.label is not None for s in shots):
+        _fill(shots, acc, total, window, method)
+    return acc, total
+
+
+def _fill(shots: Sequence[Shot], acc: np.ndarray, total: np.ndarray, window: Window, method: Resample) -> None:
+    """Where the photo that the seams want shows nothing (hidden, its edge), the others take over."""
+    empty = total == 0
+    if not empty.any():
+        return
+    more, weight = np.zeros_like(acc), np.zeros_like(total)
+    for s in shots:
+        good = s.lattice.good & _cells_with(empty, s.lattice)
+        if good.any():
+            warp_onto(s.photo, s.lattice, s.feather, s.bright, good, window, method, False, more, weight)
+    acc[empty], total[empty] = more[empty], weight[empty]
+
+
+def _any(nodes: np.ndarray) -> np.ndarray:
+    return np.logical_or(nodes[:-1, :-1] | nodes[:-1, 1:], nodes[1:, :-1] | nodes[1:, 1:])
+
+
+def _cells_with(mask: np.ndarray, lattice: Lattice) -> np.ndarray:
+    """Cells of a lattice that hold a pixel of a mask."""
+    m, n = lattice.good.shape
+    padded = np.zeros((m * lattice.step, n * lattice.step), bool)
+    h, w = min(mask.shape[0], padded.shape[0]), min(mask.shape[1], padded.shape[1])
+    padded[:h, :w] = mask[:h, :w]
+    return padded.reshape(m, lattice.step, n, lattice.step).any(axis=(1, 3))
+
+
+# -- bands ------------------------------------------------------------------------------------------------------------------
+
+
+def widened(tile: Tile) -> Tile:
+    """The tile with the margin that bands need, its size a multiple of the coarsest band's pixel."""
+    unit = 2**BANDS
+    return Tile(tile.top - MARGIN, tile.left - MARGIN, -(-tile.height // unit) * unit + 2 * MARGIN,
+                -(-tile.width // unit) * unit + 2 * MARGIN)
+
+
+def multiband(shots: Sequence[Shot], shape: tuple[int, int], window: Window, method: Resample) -> tuple[np.ndarray, np.ndarray]:
+    """Sums and weights as `blended` gives them, of Laplacian pyramids joined along the seams (Burt & Adelson 1983).
+
+    Beyond its edges a photo goes on with what the others show, and where no one does with what lies nearest, so that no edge
+    of a photo shines through.
+    """
+    base, seen = blended(shots, shape, "feather", window, method)
+    if not (seen > 0).any():
+        return base, seen
+    base = _gone_on(base / np.maximum(seen, 1e-12)[..., None], (seen > 0).astype(np.float32))
+    if len(shots) < 2:
+        return base, (seen > 0).astype(np.float32)
+    sums: list[np.ndarray] = []
+    weights: list[np.ndarray] = []
+    for s in shots:
+        if s.label is None or not (s.label > 0).any():
+            continue
+        acc, total = np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32)
+        warp_onto(s.photo, s.lattice, np.ones_like(s.feather), s.bright, s.lattice.good, window, method, False, acc, total)
+        mask = interpolated(s.label, s.lattice.step, shape) * (total > 0)
+        acc[total == 0] = base[total == 0]
+        _add_bands(acc, mask, sums, weights)
+    if not sums:
+        return base, (seen > 0).astype(np.float32)
+    left = np.clip(1 - weights[0], 0, None)  # nobody's: the feathered picture
+    if (left > 1e-3).any():
+        _add_bands(base.copy(), left, sums, weights)
+    return _joined(sums, weights), (seen > 0).astype(np.float32)
+
+
+def _add_bands(picture: np.ndarray, mask: np.ndarray, sums: list[np.ndarray], weights: list[np.ndarray]) -> None:
+    import cv2
+
+    for level in range(BANDS + 1):
+        if level < BANDS:
+            small = cv2.pyrDown(picture)
+            band = picture - cv2.pyrUp(small, dstsize=picture.shape[1::-1])
+        else:
+            small, band = picture, picture
+        if len(sums) <= level:
+            sums.append(np.zeros_like(band))
+            weights.append(np.zeros(band.shape[:2], np.float32))
+        sums[level] += band * mask[..., None]
+        weights[level] += mask
+        picture, mask = small, cv2.pyrDown(mask)
+
+
+def _joined(sums: list[np.ndarray], weights: list[np.ndarray]) -> np.ndarray:
+    import cv2
+
+    picture = sums[-1] / np.maximum(weights[-1], 1e-6)[..., None]
+    for total, weight in zip(sums[-2::-1], weights[-2::-1], strict=True):
+        picture = cv2.pyrUp(picture, dstsize=total.shape[1::-1]) + total / np.maximum(weight, 1e-6)[..., None]
+    return picture
+
+
+def _gone_on(picture: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """The picture with its gaps filled from ever coarser means of what lies around."""
+    import cv2
+
+    if seen.all() or min(seen.shape) < 4:
+        return picture if seen.any() else np.zeros_like(picture)
+    weight = cv2.pyrDown(seen)
+    small = cv2.pyrDown(picture * seen[..., None]) / np.maximum(weight, 1e-6)[..., None]
+    up = cv2.pyrUp(_gone_on(small, (weight > 1e-3).astype(np.float32)), dstsize=picture.shape[1::-1])
+    return np.where(seen[..., None] > 0, picture, up)
+
+
+def interpolated(nodes: np.ndarray, step: int, shape: tuple[int, int]) -> np.ndarray:
+    """(h, w) float32 of values at lattice nodes, linear in between."""
+    rows, columns = np.arange(shape[0]) / step, np.arange(shape[1]) / step
+    i, j = np.minimum(rows.astype(int), nodes.shape[0] - 2), np.minimum(columns.astype(int), nodes.shape[1] - 2)
+    a, b = (rows - i).astype(np.float32)[:, None], (columns - j).astype(np.float32)
+    n = nodes.astype(np.float32)
+    lines = n[:, j] * (1 - b) + n[:, j + 1] * b
+    return lines[i] * (1 - a) + lines[i + 1] * a
+
+
+def tile_rgba(acc: np.ndarray, total: np.ndarray) -> np.ndarray:
+    """RGBA uint8 (h, w, 4) of sums and weights."""
+    out = np.empty((*total.shape, 4), np.uint8)
+    compiled().finish(acc, total, 0, out)
+    return out
+
+
+def half(rgba: np.ndarray) -> np.ndarray:
+    """RGBA uint8 (h, w, 4), sides even, at half the resolution, its colours those of what is seen."""
+    out = np.empty((rgba.shape[0] // 2, rgba.shape[1] // 2, 4), np.uint8)
+    compiled().halve(rgba, out)
+    return out
