@@ -18,6 +18,8 @@ def add(commands: Any) -> None:
 
     calibrate = add_command(commands, "calibrate", _calibrate, "calibrate cameras: adjust with all ten interior parameters free")
     _options(calibrate, "all")
+    calibrate.add_argument("--compare", action="extend", nargs="+", default=[], metavar="RUN|PROJECT",
+                           help="earlier calibrations, to compare parameters and distortion curves with")
 
 
 def _options(command: Parser, free: str = "none") -> None:
@@ -69,10 +71,10 @@ def _adjust(args: argparse.Namespace) -> int:
 def _calibrate(args: argparse.Namespace) -> int:
     from viewer_app.rerun_bundle import record_bundle
 
-    from .report_bundle import calibrated_text
-    from .workflows_bundle import adjust_project
+    from .report_calibration import calibrated_text
+    from .workflows_calibration import calibrate_project
 
-    done = adjust_project(_where(args), "calibrate", record_bundle, **_request(args))
+    done = calibrate_project(_where(args), args.compare, record_bundle, **_request(args))
     return emit(args, done.to_json(), calibrated_text(done))
 
 

@@ -30,11 +30,6 @@ def adjusted_text(done: AdjustedProject) -> str:
                       *group_lines(result), *_notes("warning", list(result.warnings)), *_run(done.run)])
 
 
-def calibrated_text(done: AdjustedProject) -> str:
-    """The calibration report: the parameters with their standard errors and correlations first, then the block."""
-    return adjusted_text(done)
-
-
 def headline(name: str, result: Adjusted) -> str:
     """How the adjustment ended."""
     sigma0 = "undetermined (no redundancy)" if result.sigma0 is None else f"{result.sigma0:.3f} (redundancy {result.dof})"
@@ -64,7 +59,7 @@ def interior_text(result: Adjusted, camera: str) -> str:
     for name in PARAMETERS:
         value = getattr(interior, name)
         if name in sigma:
-            table.add_row(SAID[name], f"{value:.{_significant(value, sigma[name])}g}", f"{sigma[name]:.2g}")
+            table.add_row(SAID[name], f"{value:.{significant(value, sigma[name])}g}", f"{sigma[name]:.2g}")
         elif value or name == "c":
             table.add_row(SAID[name], f"{value:.7g}", "fixed")
     return _rendered(table)
@@ -88,7 +83,7 @@ def group_lines(result: Adjusted) -> list[str]:
             for name, (s, r) in result.groups.items() if len(result.groups) > 1]
 
 
-def _significant(value: float, sigma: float) -> int:
+def significant(value: float, sigma: float) -> int:
     """Digits that show a value down to the second digit of its standard error."""
     if not (sigma > 0 and value):
         return 6

@@ -200,7 +200,10 @@ def _left_out(data: Given, poses: dict[int, Exterior], rays: np.ndarray, use: np
     block, out = data.block, []
     counts = np.bincount(data.image, minlength=len(block.images))
     wanted = data.request.images
-    missing = [i.name for k, i in enumerate(block.images) if k not in poses and (wanted is None or i.name in wanted)]
+    taken = [(k, i.name) for k, i in enumerate(block.images) if k not in poses and (wanted is None or i.name in wanted)]
+    missing, empty = [n for k, n in taken if counts[k]], [n for k, n in taken if not counts[k]]
+    if empty:
+        out.append(f"{len(empty)} image(s) have no observations: {_few(empty)}")
     if missing:
         out.append(f"{len(missing)} image(s) could not be oriented and take no part: "
                    + _few([f"{name} ({counts[block.image_index(name)]} observations)" for name in missing]))
