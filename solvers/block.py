@@ -92,7 +92,7 @@ class Block:
         """Rows of `observations` that lie in an image, for points of the given roles, in file order."""
         of = self.observations
         rows = np.flatnonzero(of.image == self.image_index(image))
-        return np.array([r for r in rows if self.points.role[of.point[r]] in roles], int)
+        return rows[[self.points.role[p] in roles for p in of.point[rows].tolist()]] if len(rows) else rows
 
     def with_role(self, point: str, role: str) -> Block:
         """A block in which one point has another role."""

@@ -75,17 +75,23 @@ class Interior:
         """(2,) mm, photo frame."""
         return np.array([self.xp, self.yp])
 
+    @cached_property
+    def _axes(self) -> np.ndarray:
+        """(2,) mm of the photo frame per pixel: y goes up where rows go down."""
+        return self.pitch * [1.0, -1.0]
+
+    @cached_property
+    def _centre(self) -> np.ndarray:
+        """(2,) pixel of the format centre."""
+        return np.array([self.width - 1, self.height - 1]) / 2
+
     def photo(self, pixels: np.ndarray) -> np.ndarray:
         """Photo coordinates (..., 2) mm of pixels (..., 2) (col, row), (0, 0) = centre of the top-left pixel."""
-        px, py = self.pitch
-        p = np.asarray(pixels, float)
-        return np.stack([(p[..., 0] - (self.width - 1) / 2) * px, -(p[..., 1] - (self.height - 1) / 2) * py], -1)
+        return (np.asarray(pixels, float) - self._centre) * self._axes
 
     def pixels(self, photo: np.ndarray) -> np.ndarray:
         """Pixels (..., 2) of photo coordinates (..., 2) mm: the inverse of `photo`."""
-        px, py = self.pitch
-        q = np.asarray(photo, float)
-        return np.stack([q[..., 0] / px + (self.width - 1) / 2, -q[..., 1] / py + (self.height - 1) / 2], -1)
+        return np.asarray(photo, float) / self._axes + self._centre
 
     def ideal(self, pixels: np.ndarray) -> np.ndarray:
         """Ideal coordinates (..., 2) mm: pixels corrected for distortion and reduced to the principal point."""

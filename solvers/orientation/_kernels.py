@@ -29,6 +29,7 @@ MAX_MINIMA = 12
 MAX_STARTS = 40
 AMBIGUOUS_CHI2 = 36.0  # D = 6: FORMULAS of the two reversal solutions
 WEAK_ROTATION = 0.0873  # rad (5 degrees): beyond it the linear covariance says nothing
+CURVED_ROTATION = 0.0035  # rad (0.2 degrees): beyond it the linear covariance is looked at before it is believed
 
 
 @fast_kernel
@@ -866,6 +867,44 @@ def to_photo(R, t, mean, M, C):
 
 
 @kernel
+def curved(Y, n, R, t, cov, ws):
+    """Whether the error region is no ellipsoid: on the 3-sigma points of its two longest rotations the cost ought to rise by 9."""
+    work, E, values, S = ws[0], ws[1], ws[2], ws[3]
+    x, Rn, tn = work[5], work[6], work[7]
+    for i in range(3):
+        for j in range(3):
+            S[i, j] = cov[3 + i, 3 + j]
+    eigen3(S, E, values)
+    least = cost_of(Y, n, R, t)
+    for axis in range(2):
+        for sign in (3.0, -3.0):
+            k = sign / np.sqrt(values[axis])
+            for i in range(6):
+                x[i] = k * (cov[i, 3] * E[0, axis] + cov[i, 4] * E[1, axis] + cov[i, 5] * E[2, axis])
+            c0, c1, c2 = x[0], x[1], x[2]
+            x[4], x[5] = -x[4], -x[5]  # photo frame -> camera frame
+            retract(R, t, x, Rn, tn)
+            for i in range(3):  # t = R (mean - X_C)
+                tn[i] = 0.0
+                for j in range(3):
+                    arm = R[0, j] * t[0] + R[1, j] * t[1] + R[2, j] * t[2]
+                    tn[i] += Rn[i, j] * (arm - (c0 if j == 0 else c1 if j == 1 else c2))
+            rise = (cost_of(Y, n, Rn, tn) - least) / 9.0
+            if not 0.4 < rise < 2.5:
+                return True
+    return False
+
+
+@kernel
+def weak(Y, n, R, t, cov, ws):
+    """Whether the geometry leaves a rotation so uncertain that the linear covariance does not describe the error."""
+    largest = max(cov[3, 3], cov[4, 4], cov[5, 5])
+    if not largest < WEAK_ROTATION**2:
+        return True
+    return largest > CURVED_ROTATION**2 and curved(Y, n, R, t, cov, ws)
+
+
+@kernel
 def worst_point(Y, n, R, t):
     """Position of the point with the largest residual."""
     worst, at = -1.0, 0
@@ -1036,7 +1075,7 @@ def resect_images(
             to_photo(R, t, mean, M[b], C[b])
             if code == OUTLIER:
                 worst[b] = index[worst_point(Y, n, R, t)]
-            elif code == OK and not max(cov[b, 3, 3], cov[b, 4, 4], cov[b, 5, 5]) < WEAK_ROTATION**2:
+            elif code == OK and weak(Y, n, R, t, cov[b], ws):
                 code = WEAK
         status[b] = code
 
@@ -1058,10 +1097,14 @@ def orthogonal_images(
         dof = 2 * n - 6
         best = sigma0[b] * sigma0[b] * dof if dof > 0 else 0.0
         # a fixed point that fits much worse than the perspective minimum is a false one
-        if orthogonal_fixed_point(Y, n, R, t, ws, cov[b]) and cost_of(Y, n, R, t) < best + 100.0 * max(1.0, best / max(dof, 1)):
+        found = orthogonal_fixed_point(Y, n, R, t, ws, cov[b])
+        excess = (cost_of(Y, n, R, t) - best) / max(1.0, best / max(dof, 1)) if found else np.inf
+        if excess < 100.0:
             to_photo(R, t, mean, M[b], C[b])
             sigma0[b] = np.sqrt(cost_of(Y, n, R, t) / dof) if dof > 0 else np.nan
-            if status[b] == OK and not max(cov[b, 3, 3], cov[b, 4, 4], cov[b, 5, 5]) < WEAK_ROTATION**2:
+            largest = max(cov[b, 3, 3], cov[b, 4, 4], cov[b, 5, 5])
+            # one that fits worse by 2.5 sigma is a long way off where rotations are uncertain: its linear covariance is too small
+            if status[b] == OK and not largest < (0.5 * CURVED_ROTATION if excess > 6.0 else WEAK_ROTATION) ** 2:
                 status[b] = WEAK
         else:
             no_pose(M[b], C[b], cov[b])

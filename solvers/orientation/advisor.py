@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..adjustment import precision, solve
+from ..adjustment import precision
 from ..block import Block
 from ..errors import BadProject
 from ..geometry import Exterior
@@ -71,7 +71,7 @@ def advise(block: Block, image: str, points: tuple[str, ...] | None = None) -> A
     start = prepare(block, Request(image, points=points))
     problem = start.problem
     assert isinstance(problem, Resection)
-    trace = solve(problem, start.x0)
+    trace = start.trace
     at = Exterior.from_vector(trace.last.x)
     cp = precision(problem.linear(trace.last.x), f"image '{image}'").covariance
     try:

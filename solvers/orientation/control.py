@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from ..block import Block
 from ..cameras import Interior, project_derivatives
 from ..errors import BadProject, DegenerateGeometry
 from ..geometry import Exterior, LocalFrame
+from .initial import Noise
 
 COLLINEAR = 1e-5
 """Second singular value over the first, below which points lie on one line."""
@@ -52,6 +54,11 @@ class Control:
         return np.linalg.inv(cov)
 
     @property
+    def noise(self) -> Noise:
+        """What a search for starts may expect of the residuals."""
+        return Noise(self.sigma_px * np.sqrt(np.prod(self.interior.pitch)), np.sqrt((self.sigma_m**2).mean(axis=1)))
+
+    @cached_property
     def extent(self) -> np.ndarray:
         """(3,) singular values of the reduced points: length, width and relief of the control [m], times sqrt(n)."""
         return np.linalg.svd(self.points - self.points.mean(axis=0), compute_uv=False) if len(self) > 2 else np.zeros(3)
@@ -79,15 +86,15 @@ def control_of(block: Block, image: str, frame: LocalFrame, points: tuple[str, .
         rows = np.array([r for r in rows if block.points.names[block.observations.point[r]] in points], int)
     j = block.observations.point[rows]
     xyz, sigma = block.points.xyz[j], block.points.sigma[j]
-    for name, coordinates in zip((block.points.names[k] for k in j), xyz, strict=True):
-        if not np.isfinite(coordinates).all():
-            raise BadProject(f"control point '{name}' has no coordinates; give X, Y, Z in points.csv or make it a tie point")
+    names = tuple(block.points.names[k] for k in j.tolist())
+    for i in np.flatnonzero(~np.isfinite(xyz).all(axis=1)):
+        raise BadProject(f"control point '{names[i]}' has no coordinates; give X, Y, Z in points.csv or make it a tie point")
     sigma_px, pixels = block.observations.sigma[rows], block.observations.pixel[rows]
-    _refuse_nonsense([block.points.names[k] for k in j], image, pixels, sigma_px, sigma)
+    _refuse_nonsense(names, image, pixels, sigma_px, sigma)
     return Control(
         image=image,
         interior=block.camera_of(image),
-        names=tuple(block.points.names[k] for k in j),
+        names=names,
         points=frame.to_local(xyz),
         pixels=pixels,
         sigma_px=np.where(np.isfinite(sigma_px), sigma_px, block.image_px),
@@ -95,8 +102,11 @@ def control_of(block: Block, image: str, frame: LocalFrame, points: tuple[str, .
     )
 
 
-def _refuse_nonsense(names: list[str], image: str, pixels: np.ndarray, sigma_px: np.ndarray, sigma_m: np.ndarray) -> None:
+def _refuse_nonsense(names: tuple[str, ...], image: str, pixels: np.ndarray, sigma_px: np.ndarray, sigma_m: np.ndarray) -> None:
     """Raises BadProject for a pixel that is no number and for sigmas that are none; NaN means the default."""
+    fine = np.isfinite(pixels).all() and not ((sigma_px <= 0) | np.isinf(sigma_px)).any()
+    if fine and not ((sigma_m < 0) | np.isinf(sigma_m)).any():
+        return
     for name, pixel, px, m in zip(names, pixels, sigma_px, sigma_m, strict=True):
         if not np.isfinite(pixel).all():
             raise BadProject(f"point '{name}' in image '{image}' has the pixel {pixel[0]}, {pixel[1]}; give two numbers "

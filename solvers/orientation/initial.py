@@ -13,6 +13,8 @@ import numpy as np
 
 from ..geometry import Exterior, closest_rotation, skew
 
+SAME = float(np.radians(0.01))
+"""Attitudes closer than this [rad] are one minimum."""
 _PATIENCE = 8
 """Refining steps granted to every start."""
 
@@ -43,28 +45,57 @@ class Candidate:
     cost: float
 
 
-def candidates(points: np.ndarray, xy: np.ndarray, c: float) -> list[Candidate]:
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations of the control. photo (n,): of an ideal coordinate, unit of c; ground (n,): of an object coordinate [m]."""
+
+    photo: np.ndarray
+    ground: np.ndarray
+
+
+def candidates(points: np.ndarray, xy: np.ndarray, c: float, noise: Noise | None = None) -> list[Candidate]:
     """All distinct local minima found from every start of FORMULAS section 4, best first; empty when none is in front.
 
-    Attitudes closer than a hundredth of a degree count as one.
+    noise: where one of the parallel projections (both reversal solutions among them) of six points or more leads to residuals
+    at noise level, the other kinds of starts are not tried; nothing fits much better. Attitudes closer than a hundredth of a
+    degree count as one.
     """
-    found = _different(starts(points, xy, c), points, xy, c)
-    refined, cost = refine(points, xy, c, [e for _, e in found])
+    s = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    crude = _different(parallel_starts(points, xy, c), points, xy, c)
+    refined, cost = refine(points, xy, c, [e for _, e in crude])
+    enough = noise is not None and len(crude) > 0 and len(_far_apart(points)) == 6
+    if not (enough and _explained(points, xy, c, refined[int(np.argmin(cost))], noise)):
+        more = _different([*crude, *other_starts(points, xy, c, s)], points, xy, c)[len(crude):]
+        finer, its_cost = refine(points, xy, c, [e for _, e in more])
+        crude, refined, cost = crude + more, refined + finer, np.append(cost, its_cost)
     out: list[Candidate] = []
     for i in np.argsort(cost, kind="stable"):
-        if np.isfinite(cost[i]) and all(apart(refined[i], other.exterior) > np.radians(0.01) for other in out):
-            led = [np.isfinite(cost[k]) and apart(refined[k], refined[i]) <= np.radians(0.01) for k in range(len(found))]
+        if np.isfinite(cost[i]) and all(apart(refined[i], other.exterior) > SAME for other in out):
+            led = [np.isfinite(cost[k]) and apart(refined[k], refined[i]) <= SAME for k in range(len(crude))]
             first = led.index(True)
-            out.append(Candidate(refined[i], found[first][1], found[first][0], float(cost[i])))
+            out.append(Candidate(refined[i], crude[first][1], crude[first][0], float(cost[i])))
     return out
 
 
-def starts(points: np.ndarray, xy: np.ndarray, c: float) -> list[tuple[str, Exterior]]:
-    """Every start, the crudest first, with its name: parallel projection, three points, DLT, homography."""
+def _explained(points: np.ndarray, xy: np.ndarray, c: float, at: Exterior, noise: Noise) -> bool:
+    """Whether the residuals at an orientation are what the noise lets expect: below what chance exceeds in 3 of a million."""
+    uvw = at.camera(points)
+    scale = c / -uvw[:, 2]
+    v2 = ((xy - scale[:, None] * uvw[:, :2]) ** 2).sum(axis=1)
+    dof = 2 * len(points) - 6
+    k = 2 / (9 * dof)  # Wilson & Hilferty 1931
+    return bool((v2 / (noise.photo**2 + (scale * noise.ground) ** 2)).sum() < dof * (1 - k + 4.5 * np.sqrt(k)) ** 3)
+
+
+def parallel_starts(points: np.ndarray, xy: np.ndarray, c: float) -> list[tuple[str, Exterior]]:
+    """Scaled orthography of the re-centred bundle: affine and both reversal solutions."""
     r_v = recentring(xy, c)
-    out = [("parallel projection", Exterior(r_v.T @ e.m, e.centre)) for e in scaled_orthography(points, turned(xy, c, r_v), c)]
-    out += [("three points", e) for rows in wide_triples(points) for e in three_points(points[rows], xy[rows], c)]
-    s = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return [("parallel projection", Exterior(r_v.T @ e.m, e.centre)) for e in scaled_orthography(points, turned(xy, c, r_v), c)]
+
+
+def other_starts(points: np.ndarray, xy: np.ndarray, c: float, s: np.ndarray) -> list[tuple[str, Exterior]]:
+    """Starts by three points, DLT and homography, where the shape of the control (singular values s) allows them."""
+    out = [("three points", e) for rows in wide_triples(points) for e in three_points(points[rows], xy[rows], c)]
     if len(points) >= 6 and s[2] > 1e-3 * s[0]:
         out += [("direct linear transformation", e) for e in direct_linear(points, xy, c)]
     if len(points) >= 4 and s[2] < 0.1 * s[0]:
@@ -97,28 +128,51 @@ def scaled_orthography(points: np.ndarray, xy: np.ndarray, c: float, updates: in
     mean = points.mean(axis=0)
     reduced = points - mean
     u, s, vt = np.linalg.svd(reduced, full_matrices=False)
-    out = []
-    for kind in kinds:
-        if kind == "affine" and s[2] < 1e-4 * s[0]:
-            continue
-        target = xy
-        exterior = None
-        for _ in range(updates + 1):
-            centred = target - target.mean(axis=0)
-            if kind == "affine":
-                block = (vt.T @ ((u.T @ centred) / s[:, None])).T
-            else:
-                block = planar_block(centred, u, s, vt, float(kind))
-            exterior = _from_block(block, target.mean(axis=0), mean, c)
-            if exterior is None:
-                break
-            depth = -exterior.camera(points)[:, 2]
-            if (depth <= 0).any():
-                break
-            target = xy * (depth / depth.mean())[:, None]
-        if exterior is not None:
-            out.append(exterior)
-    return out
+    wanted = [k for k in kinds if k != "affine" or s[2] >= 1e-4 * s[0]]
+    signs = np.array([0.0 if k == "affine" else float(k) for k in wanted])
+    hand = np.array([1.0, 1.0, np.sign(np.linalg.det(vt))])  # the third axis is the plane's normal, right-handed
+    vt, along = vt * hand[:, None], u * hand / np.where(s > 0, s, np.inf)  # coordinates in the principal axes over the squared extents
+    depth = np.ones((len(signs), len(points)))
+    for update in range(updates + 1):
+        if not len(signs):
+            break
+        target = xy * (depth / depth.mean(axis=1, keepdims=True))[..., None]
+        t = target.mean(axis=1)
+        block = np.swapaxes(target - t[:, None], 1, 2) @ along  # (k, 2, 3)
+        block[:, :, 2] = np.where(signs[:, None] == 0, block[:, :, 2], signs[:, None] * _third(block))
+        m, scale = poses_of_blocks(block @ vt)
+        with np.errstate(all="ignore"):
+            shift = np.concatenate([t, np.full((len(t), 1), -c)], axis=1) / scale[:, None]
+        depth = -(reduced @ m[:, 2].T).T - shift[:, 2:]
+        good = np.isfinite(m).all(axis=(1, 2)) & (scale > 0)
+        if update < updates:
+            good &= (depth > 0).all(axis=1)
+        signs, depth, m, shift = signs[good], depth[good], m[good], shift[good]
+    return [Exterior(a, mean - a.T @ b) for a, b in zip(m, shift, strict=True)] if len(signs) else []
+
+
+def _third(block: np.ndarray) -> np.ndarray:
+    """(k, 2) the third components of two rows (k, 2, 3) in the axes of a plane, for one reversal solution (FORMULAS 3.4)."""
+    g1, g2 = block[:, 0, :2], block[:, 1, :2]
+    ab = np.sqrt((g2 * g2).sum(axis=1) - (g1 * g1).sum(axis=1) - 2j * (g1 * g2).sum(axis=1))
+    return np.stack([ab.real, ab.imag], axis=1)
+
+
+def poses_of_blocks(blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """M (k, 3, 3) and scales (k,) of 2x3 blocks (k, 2, 3), as `pose_of_block`; NaN where a block has rank below two."""
+    g = blocks @ np.swapaxes(blocks, 1, 2)
+    a, b, d = g[:, 0, 0], g[:, 0, 1], g[:, 1, 1]
+    with np.errstate(all="ignore"):
+        area = np.sqrt(a * d - b * b)  # product of the singular values; their sum is 2 s
+        both = np.sqrt(a + d + 2 * area)
+        root = np.empty((len(g), 2, 2))  # (B B^T)^(-1/2)
+        root[:, 0, 0], root[:, 1, 1], root[:, 0, 1], root[:, 1, 0] = d + area, a + area, -b, -b
+        root /= (area * both)[:, None, None]
+    m = np.empty((len(blocks), 3, 3))
+    m[:, :2] = root @ blocks  # the closest orthonormal rows
+    (x1, y1, z1), (x2, y2, z2) = m[:, 0].T, m[:, 1].T
+    m[:, 2, 0], m[:, 2, 1], m[:, 2, 2] = y1 * z2 - z1 * y2, z1 * x2 - x1 * z2, x1 * y2 - y1 * x2
+    return m, both / 2
 
 
 def planar_block(centred: np.ndarray, u: np.ndarray, s: np.ndarray, vt: np.ndarray, sign: float) -> np.ndarray:
@@ -136,13 +190,6 @@ def pose_of_block(block: np.ndarray) -> tuple[np.ndarray, float]:
     a, b = u @ vt
     m3 = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
     return np.array([a, b, m3]), float(s[0] + s[1]) / 2
-
-
-def _from_block(block: np.ndarray, t: np.ndarray, mean: np.ndarray, c: float) -> Exterior | None:
-    m, scale = pose_of_block(block)
-    if not (np.isfinite(m).all() and scale > 0):
-        return None
-    return Exterior(m, mean - m.T @ np.array([t[0] / scale, t[1] / scale, -c / scale]))
 
 
 def three_points(points: np.ndarray, xy: np.ndarray, c: float) -> list[Exterior]:
@@ -233,34 +280,41 @@ def refine(points: np.ndarray, xy: np.ndarray, c: float, exteriors: list[Exterio
     """
     if not exteriors:
         return [], np.zeros(0)
-    m, centre = np.stack([e.m for e in exteriors]), np.stack([e.centre for e in exteriors])
-    damping = np.full(len(m), 1e-3)
-    v, j = _residuals(points, xy, c, m, centre)
-    cost = 0.5 * (v**2).sum(axis=1)
+    m = np.stack([e.m for e in exteriors])
+    t = -np.stack([e.m @ e.centre for e in exteriors])  # the camera sees M X + t; the tangent is (t, left rotation vector)
+    damping = np.full(len(m), 1e-4)
+    v, j = _residuals(points, xy, c, m, t)
+    cost = 0.5 * np.einsum("ki,ki->k", v, v)
     cost[~np.isfinite(cost)] = np.inf
     live = np.flatnonzero(np.isfinite(cost))
     v, j = v[live], j[live]
+    eye = np.eye(6)
     for step in range(steps):
         if not len(live):
             break
         jt = np.swapaxes(j, 1, 2)
         n, g = jt @ j, (jt @ v[..., None])[..., 0]
         d = np.sqrt(np.maximum(np.einsum("kii->ki", n), 1e-300))
-        scaled = n / d[:, :, None] / d[:, None, :] + (damping[live, None, None] + 1e-15) * np.eye(6)
+        scaled = n / d[:, :, None] / d[:, None, :] + (damping[live, None, None] + 1e-15) * eye
         dx = np.linalg.solve(scaled, (g / d)[..., None])[..., 0] / d
-        trial_m, trial_c = _exp_batch(dx[:, 3:]) @ m[live], centre[live] + dx[:, :3]
-        tv, tj = _residuals(points, xy, c, trial_m, trial_c)
-        tcost = 0.5 * (tv**2).sum(axis=1)
+        trial_m, trial_t = _turned(dx[:, 3:]) @ m[live], t[live] + dx[:, :3]
+        tv, tj = _residuals(points, xy, c, trial_m, trial_t)
+        tcost = 0.5 * np.einsum("ki,ki->k", tv, tv)
         better = tcost <= cost[live]
         won = live[better]
-        m[won], centre[won], cost[won] = trial_m[better], trial_c[better], tcost[better]
-        v, j = np.where(better[:, None], tv, v), np.where(better[:, None, None], tj, j)
+        m[won], t[won], cost[won] = trial_m[better], trial_t[better], tcost[better]
+        if len(won) == len(live):
+            v, j = tv, tj
+        else:
+            v, j = np.where(better[:, None], tv, v), np.where(better[:, None, None], tj, j)
         damping[live] = np.where(better, damping[live] * 0.1, np.maximum(damping[live], 1e-9) * 10)
-        go = np.linalg.norm(dx * d, axis=1) >= 1e-7 * np.sqrt(cost[live]) + 1e-10 * c
+        dx *= d
+        go = np.sqrt(np.einsum("ki,ki->k", dx, dx)) >= 1e-6 * np.sqrt(cost[live]) + 1e-10 * c
         if step >= _PATIENCE:  # a start still on its way, a degree off in the photo and far behind the best, leads nowhere
             go &= cost[live] <= max(0.5 * len(points) * (0.02 * c) ** 2, 4 * cost.min())
-        live, v, j = live[go], v[go], j[go]
-    return [Exterior(a, b) for a, b in zip(m, centre, strict=True)], cost
+        if not go.all():
+            live, v, j = live[go], v[go], j[go]
+    return [Exterior(a, -a.T @ b) for a, b in zip(m, t, strict=True)], cost
 
 
 def apart(a: Exterior, b: Exterior) -> float:
@@ -273,41 +327,52 @@ def _rays(xy: np.ndarray, c: float) -> np.ndarray:
     return v / np.linalg.norm(v, axis=1, keepdims=True)
 
 
-def _residuals(points: np.ndarray, xy: np.ndarray, c: float, m: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals (k, 2n) and Jacobian (k, 2n, 6) of k orientations; NaN behind the camera."""
-    uvw = (points - centre[:, None]) @ np.swapaxes(m, 1, 2)
-    w = np.where(uvw[..., 2] < 0, uvw[..., 2], np.nan)
-    xh, yh = uvw[..., 0] / w, uvw[..., 1] / w
-    by = np.zeros((*uvw.shape[:2], 2, 3))
-    by[..., 0, 0] = by[..., 1, 1] = -c / w
-    by[..., 0, 2], by[..., 1, 2] = c * xh / w, c * yh / w
-    j = np.concatenate([-by @ m[:, None], -by @ skew(uvw)], axis=-1)
-    v = xy - np.stack([-c * xh, -c * yh], axis=-1)
-    k, n = uvw.shape[:2]
+def _residuals(points: np.ndarray, xy: np.ndarray, c: float, m: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals (k, 2n), all x before all y, and Jacobian (k, 2n, 6) by (t, left rotation vector) of k orientations that see
+    M X + t; NaN behind the camera."""
+    arm = m @ points.T  # (k, 3, n)
+    uvw = arm + t[:, :, None]
+    w = np.where(uvw[:, 2] < 0, uvw[:, 2], np.nan)
+    a0, a1, a2 = arm[:, 0], arm[:, 1], arm[:, 2]
+    p = -c / w
+    x, y = p * uvw[:, 0], p * uvw[:, 1]
+    qx, qy = -x / w, -y / w
+    k, n = w.shape
+    j = np.zeros((k, 2, n, 6))
+    j[:, 0, :, 0] = j[:, 1, :, 1] = p
+    j[:, 0, :, 2], j[:, 1, :, 2] = qx, qy
+    j[:, 0, :, 3], j[:, 0, :, 4], j[:, 0, :, 5] = a1 * qx, a2 * p - a0 * qx, -a1 * p
+    j[:, 1, :, 3], j[:, 1, :, 4], j[:, 1, :, 5] = a1 * qy - a2 * p, -a0 * qy, a0 * p
+    v = np.empty((k, 2, n))
+    v[:, 0], v[:, 1] = xy[:, 0] - x, xy[:, 1] - y
     return v.reshape(k, 2 * n), j.reshape(k, 2 * n, 6)
 
 
-def _exp_batch(d: np.ndarray) -> np.ndarray:
-    theta = np.linalg.norm(d, axis=1)[:, None, None]
-    k = skew(d)
-    safe = np.where(theta > 1e-8, theta, 1.0)
-    a = np.where(theta > 1e-8, np.sin(safe) / safe, 1.0)
-    b = np.where(theta > 1e-8, (1 - np.cos(safe)) / safe**2, 0.5)
-    return np.eye(3) + a * k + b * (k @ k)
+def _turned(d: np.ndarray) -> np.ndarray:
+    """Rotations (k, 3, 3) near the rotation vectors d (k, 3), orthonormal without trigonometry (Cayley)."""
+    k = skew(0.5 * d)
+    return np.eye(3) + 2 / (1 + 0.25 * np.einsum("ki,ki->k", d, d))[:, None, None] * (k + k @ k)
 
 
 def wide_triples(points: np.ndarray, count: int = 4) -> list[list[int]]:
     """Index triples of large area among the points furthest from the centroid and from each other."""
-    n = len(points)
-    if n <= 6:
-        pool = list(range(n))
-    else:
-        pool = [int(np.argmax(((points - points.mean(axis=0)) ** 2).sum(axis=1)))]
-        nearest = np.full(n, np.inf)
-        while len(pool) < 6:
-            nearest = np.minimum(nearest, ((points - points[pool[-1]]) ** 2).sum(axis=1))
-            pool.append(int(np.argmax(nearest)))
+    pool = _far_apart(points) if len(points) > 6 else range(len(points))
+    pool = range(len(points)) if len(pool) < 3 else pool
     triples = list(itertools.combinations(pool, 3))
     p = points[np.array(triples)]
     area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
     return [list(triples[i]) for i in np.argsort(-area)[:count]]
+
+
+def _far_apart(points: np.ndarray, count: int = 6) -> list[int]:
+    """Indices of up to `count` points, each the furthest from those before; fewer where the rest lie within 5 % of the rms
+    extent of one of them."""
+    out2 = ((points - points.mean(axis=0)) ** 2).sum(axis=1)
+    least, nearest = 0.0025 * out2.mean(), np.full(len(points), np.inf)
+    pool = [int(np.argmax(out2))]
+    while len(pool) < min(count, len(points)):
+        nearest = np.minimum(nearest, ((points - points[pool[-1]]) ** 2).sum(axis=1))
+        pool.append(int(np.argmax(nearest)))
+        if not nearest[pool[-1]] > least:
+            return pool[:-1]
+    return pool

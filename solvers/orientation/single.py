@@ -21,10 +21,11 @@ from .orthogonal_c import OrthogonalFreeC
 from .resection import COLUMNS, UNITS, PriorOrientation, Resection
 from .result import Orientation
 from .robust import inliers
-from .words import bad_fit, correlations, snooping, undetermined
+from .words import bad_fit, correlations, curved, snooping, undetermined
 
 AMBIGUOUS = 6.0
 """Discrimination D below which two solutions cannot be told apart (FORMULAS section 3.4)."""
+PERSPECTIVE = Options(damping=1e-6)  # the starts are near: nearly Gauss-Newton from the beginning
 ORTHOGONAL = Options.gauss_newton(max_iterations=100)
 AIMED = Options.gauss_newton(max_iterations=20)
 SAME = 1e-5
@@ -108,13 +109,13 @@ def prepare(block: Block, request: Request, like: Start | None = None) -> Start:
     found = list(like.found) if like is not None and like.control.same(everything) and (like.used == used).all() else []
     if len(control) >= 3 and not found:
         ideal = control.interior.ideal(control.pixels)
-        found = [_moved(k, mean) for k in candidates(control.points - mean, ideal, control.interior.c)]
+        found = [_moved(k, mean) for k in candidates(control.points - mean, ideal, control.interior.c, control.noise)]
     if not found and prior is None:
         raise DegenerateGeometry(f"image '{request.image}': no camera position has all {len(control)} control points in front "
                                  "of it; look for swapped axes, a wrong principal distance or mixed-up point names")
     manifest = _manifest(block, request, frame, control)
     if request.model == "perspective":
-        problem, options = _perspective(request, control, found, prior, weighted), Options()
+        problem, options = _perspective(request, control, found, prior, weighted), PERSPECTIVE
         trace, others = _first_run(problem, request, found, prior)
     else:
         problem, trace, options = _orthogonal(request, control, found, prior)
@@ -129,7 +130,10 @@ def conclude(start: Start, trace: Trace) -> Orientation:
     """The orientation at the end of a trace, with covariance, residuals of every point, ambiguity and warnings in words."""
     chosen = _describe(start, trace)
     control = start.control.take(start.used)
-    others = [o for o in (_alternative(start, k, control) for k in start.others) if o is not None]
+    near = min(start.others, key=lambda k: apart(k.exterior, chosen.local), default=None)
+    if start.request.model == "perspective" or near is None or _false(control, chosen.local, near.exterior):
+        near = None  # else the perspective minimum beside an orthogonal solution, which leads there again
+    others = [o for o in (_alternative(start, k, control) for k in start.others if k is not near) if o is not None]
     others = [o for o in others if apart(o.local, chosen.local) > SAME]
     d = discrimination(start, chosen.local, control)
     warnings = list(chosen.warnings)
@@ -163,19 +167,19 @@ def _first_run(problem: Resection, request: Request, found: list[Candidate],
     if request.prior != "none" and given and not np.isfinite(problem.cost(problem.start(given[0].exterior))):
         raise DegenerateGeometry(f"image '{request.image}': control points lie behind the camera of the prior; check its angles")
     if request.prior == "initial" and given:
-        return solve(problem, problem.start(given[0].exterior)), found
+        return solve(problem, problem.start(given[0].exterior), PERSPECTIVE), found
     chosen, near = found[0] if found else given[0], None
     if request.prior == "weighted" and given:
-        ends = [(k, solve(problem, problem.start(k.exterior))) for k in [*found, *given]]
+        ends = [(k, solve(problem, problem.start(k.exterior), PERSPECTIVE)) for k in [*found, *given]]
         ends = [(k, t) for k, t in ends if np.isfinite(t.last.cost)]
         chosen, near = min(ends, key=lambda end: end[1].last.cost)
-    crude = solve(problem, problem.start(chosen.start))
+    crude = solve(problem, problem.start(chosen.start), PERSPECTIVE)
     end = Exterior.from_vector(crude.last.x)
     there = all(apart(end, chosen.exterior) <= apart(end, k.exterior) for k in found)
     others = [k for k in found if k is not chosen]
     if there and crude.last.cost <= problem.cost(problem.start(chosen.exterior)) + 1e-9:
         return crude, others
-    return near or solve(problem, problem.start(chosen.exterior)), others
+    return near or solve(problem, problem.start(chosen.exterior), PERSPECTIVE), others
 
 
 def _orthogonal(request: Request, control: Control, found: list[Candidate],
@@ -269,6 +273,8 @@ def _describe(start: Start, trace: Trace) -> Orientation:
     else:
         covariance, said = _orthogonal_covariance(start, problem, trace, local)
         warnings += said
+    if isinstance(problem, Resection) and not problem.free:
+        warnings += curved(problem, x, covariance)
     exterior = Exterior(local.m, start.frame.to_map(local.centre))
     covariance = exterior.angle_covariance(covariance)
     n = len(used)
@@ -346,8 +352,8 @@ def discrimination(start: Start, chosen: Exterior, control: Control) -> float | 
     mean = control.points.mean(axis=0)
     perfect = Resection(control.interior, control.points, pixels, control.weights(chosen))
     found = []
-    for k in candidates(control.points - mean, control.interior.ideal(pixels), control.interior.c):
-        trace = solve(perfect, perfect.start(_moved(k, mean).exterior))
+    for k in candidates(control.points - mean, control.interior.ideal(pixels), control.interior.c, control.noise):
+        trace = solve(perfect, perfect.start(_moved(k, mean).exterior), PERSPECTIVE)
         if trace.converged and apart(Exterior.from_vector(trace.last.x), chosen) > SAME:
             found.append(float(np.sqrt(2 * trace.last.cost)))
     return min(found, default=None)

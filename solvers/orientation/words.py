@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from .resection import Resection
+
 ORDER = ("X", "Y", "Z", "omega", "phi", "kappa")
 MEANING = {
     ("Y", "omega"): "a tilt across looks like a shift of the camera",
@@ -73,6 +75,24 @@ def undetermined(covariance: np.ndarray) -> list[str]:
     if not np.isfinite(tilt) or tilt > 2:
         return [f"the tilt is not determined by this control (standard error {tilt:.1f} degrees): "
                 "use the orientation only inside the control"]
+    return []
+
+
+def curved(problem: Resection, x: np.ndarray, covariance: np.ndarray) -> list[str]:
+    """Whether the error region is far from an ellipsoid: on the 3-sigma points of the two longest rotations the sum of squares
+    ought to rise by 9. covariance (6, 6): of the tangent (centre, left rotation vector)."""
+    values, vectors = np.linalg.eigh(covariance[3:, 3:])
+    if not values[2] > np.radians(0.2) ** 2:
+        return []
+    least = problem.cost(x)
+    for axis in (2, 1):
+        for sign in (3.0, -3.0):
+            step = np.zeros(len(x) - 6)
+            step[:6] = sign * covariance[:, 3:] @ vectors[:, axis] / np.sqrt(values[axis])
+            rise = 2 * (problem.cost(problem.retract(x, step)) - least) / 9
+            if not 0.4 < rise < 2.5:
+                return ["the error region is not an ellipsoid (the geometry is too weak for linear error theory): the standard "
+                        "errors are a rough guide, the true orientation can lie several of them away"]
     return []
 
 
