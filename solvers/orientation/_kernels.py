@@ -868,7 +868,7 @@ def to_photo(R, t, mean, M, C):
 
 @kernel
 def curved(Y, n, R, t, cov, ws):
-    """Whether the error region is no ellipsoid: on the 3-sigma points of its two longest rotations the cost ought to rise by 9."""
+    """Whether the error region is no ellipsoid: 3 sigma along its two longest rotations the cost ought to rise by 9."""
     work, E, values, S = ws[0], ws[1], ws[2], ws[3]
     x, Rn, tn = work[5], work[6], work[7]
     for i in range(3):

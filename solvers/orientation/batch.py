@@ -50,8 +50,8 @@ _WORDS = {
     Status.NOT_FINITE: "a coordinate is NaN or infinite; mask the point with valid",
     Status.BEHIND_CAMERA: "no orientation has all points in front of the camera",
     Status.OUTLIER: "residuals far above sigma_px: a gross error is likely (largest residual: `worst`), or sigma_px is too small",
-    Status.WEAK: "a rotation has a standard deviation above 5 degrees, or its error region is far from an ellipsoid: the geometry "
-    "hardly determines the orientation, its covariance says too little",
+    Status.WEAK: "a rotation has a standard deviation above 5 degrees, or the error region is far from an ellipsoid: the "
+    "geometry hardly determines the orientation and its covariance says too little",
     Status.SINGULAR: "the normal matrix is singular (camera on the danger cylinder, or points nearly on a line)",
 }
 

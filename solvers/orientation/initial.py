@@ -47,7 +47,8 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations of the control. photo (n,): of an ideal coordinate, unit of c; ground (n,): of an object coordinate [m]."""
+    """Standard deviations of the control. photo (n,): of an ideal coordinate, unit of c; ground (n,): of an object
+    coordinate [m]."""
 
     photo: np.ndarray
     ground: np.ndarray
@@ -131,7 +132,7 @@ def scaled_orthography(points: np.ndarray, xy: np.ndarray, c: float, updates: in
     wanted = [k for k in kinds if k != "affine" or s[2] >= 1e-4 * s[0]]
     signs = np.array([0.0 if k == "affine" else float(k) for k in wanted])
     hand = np.array([1.0, 1.0, np.sign(np.linalg.det(vt))])  # the third axis is the plane's normal, right-handed
-    vt, along = vt * hand[:, None], u * hand / np.where(s > 0, s, np.inf)  # coordinates in the principal axes over the squared extents
+    vt, along = vt * hand[:, None], u * hand / np.where(s > 0, s, np.inf)  # principal coordinates over squared extents
     depth = np.ones((len(signs), len(points)))
     for update in range(updates + 1):
         if not len(signs):
