@@ -310,7 +310,7 @@ def refine(points: np.ndarray, xy: np.ndarray, c: float, exteriors: list[Exterio
             v, j = np.where(better[:, None], tv, v), np.where(better[:, None, None], tj, j)
         damping[live] = np.where(better, damping[live] * 0.1, np.maximum(damping[live], 1e-9) * 10)
         dx *= d
-        go = np.sqrt(np.einsum("ki,ki->k", dx, dx)) >= 1e-6 * np.sqrt(cost[live]) + 1e-10 * c
+        go = np.sqrt(np.einsum("ki,ki->k", dx, dx)) >= 1e-7 * np.sqrt(cost[live]) + 1e-10 * c
         if step >= _PATIENCE:  # a start still on its way, a degree off in the photo and far behind the best, leads nowhere
             go &= cost[live] <= max(0.5 * len(points) * (0.02 * c) ** 2, 4 * cost.min())
         if not go.all():
