@@ -16,12 +16,16 @@ ROLES = ("control", "check", "tie")
 
 @dataclass(frozen=True)
 class Prior:
-    """Onboard GPS/IMU or an approximate value: centre (3,) m, angles (3,) rad (omega, phi, kappa); None where unknown."""
+    """Onboard GPS/IMU or an approximate value: centre (3,) m, angles (3,) rad (omega, phi, kappa); None where unknown.
+
+    covariance (6, 6): of X, Y, Z, omega, phi, kappa together (m, rad), in place of the sigmas where they are correlated.
+    """
 
     centre: np.ndarray | None = None
     angles: np.ndarray | None = None
     sigma_m: np.ndarray | None = None
     sigma_rad: np.ndarray | None = None
+    covariance: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

@@ -78,6 +78,7 @@ def _resect(args: argparse.Namespace) -> int:
 
 def _georeference(args: argparse.Namespace) -> int:
     from .orientation import Rig
+    from .orientation.grades import COARSE_M
     from .report_orientation import georeference_text
     from .workflows_georeference import Flown, georeference_flight
 
@@ -91,7 +92,8 @@ def _georeference(args: argparse.Namespace) -> int:
         heights=args.heights.replace("-", " "), photo_heights=args.photo_heights, undulation=args.undulation,
         height_bias=args.height_bias, take_off=args.take_off, flying_height=args.flying_height, rig=rig, ground_z=args.ground_z,
         dem=args.dem, check_headings=args.check_headings, correct_headings=args.correct_headings, footprints=args.footprints,
-        write_priors=args.write_priors, pixel_um=args.pixel_um, c_mm=args.c_mm))
+        write_priors=args.write_priors, corners=args.corners, relief=args.relief, compare=args.compare,
+        coarse_m=three(args.coarse_m) or COARSE_M, pixel_um=args.pixel_um, c_mm=args.c_mm))
     emit(args, done.to_json(), georeference_text(done))
     if not done.failed:
         return 0
@@ -123,6 +125,12 @@ def _georeference_options(command: Parser) -> None:
     command.add_argument("--crs", help="coordinate system for a folder: EPSG:CODE (default: its UTM zone)")
     command.add_argument("--footprints", metavar="F.geojson", help="write what each photo covers on the ground")
     command.add_argument("--write-priors", action="store_true", help="put the result into the project as priors")
+    command.add_argument("--corners", metavar="C.json",
+                         help="write the four corners of each image as control, with their covariance, for adjust --corners")
+    command.add_argument("--compare", action="store_true",
+                         help="errors at independent check points: onboard, coarse control, surveyed control")
+    command.add_argument("--coarse-m", **three, metavar=("X", "Y", "Z"),
+                         help="... standard errors of coarse control (default: 2.5 2.5 5 m)")
     data = command.add_argument_group("onboard data beside the photos")
     data.add_argument("--positions", metavar="TABLE", help="a line per photo: image, lat, lon, height, yaw, pitch, roll")
     data.add_argument("--mrk", metavar="FILE", help="DJI Timestamp.MRK, a line per photo in their order")
@@ -144,10 +152,12 @@ def _georeference_options(command: Parser) -> None:
                          help="to add to all heights, or control: estimated by control points")
     heights.add_argument("--take-off", type=number, metavar="Z", help="height of the take-off point, to use heights above it")
     heights.add_argument("--flying-height", type=number, metavar="Z", help="for photos that state no height")
-    ground = command.add_argument_group("ground and camera, for footprints and headings")
+    ground = command.add_argument_group("ground and camera, for footprints, corners and headings")
     where = ground.add_mutually_exclusive_group()
     where.add_argument("--ground-z", type=number, metavar="Z",
                        help="level ground (default: [surface], or the take-off point's level)")
     where.add_argument("--dem", metavar="DEM.tif", help="heights of the ground")
+    ground.add_argument("--relief", type=positive, metavar="S",
+                        help="how far the ground under the corners departs from a level [m] (default: 2 %% of the height above it)")
     ground.add_argument("--pixel-um", type=positive, metavar="P", help="pixel size in micrometres, where EXIF does not tell it")
     ground.add_argument("--c-mm", type=positive, metavar="C", help="principal distance in mm, where EXIF does not tell it")

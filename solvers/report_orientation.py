@@ -11,7 +11,7 @@ import numpy as np
 from .report import _digits, _notes, _rendered
 
 if TYPE_CHECKING:
-    from .orientation import ObjectPoint
+    from .orientation import Grade, ObjectPoint
     from .workflows_georeference import Direct
     from .workflows_orientation import IntersectedProject, MonoplottedProject
 
@@ -29,8 +29,20 @@ def georeference_text(done: Direct) -> str:
     told = [(g.image, n) for g in done.orientations for n in g.notes if not n.startswith(("height:", "yaw corrected"))]
     lines += _shared("", told, total) + _wrapped(done.notes) + _notes("warning", list(done.warnings))
     lines += _shared("warning", [(g.image, w) for g in done.orientations for w in g.warnings], total)
+    lines += _compared(done.grades)
     return "\n".join([f"exterior orientation from onboard data, {done.crs}", _rendered(table), *lines,
                       *_shared("left out", list(done.failed), 0), *_run(done.run)])
+
+
+def _compared(grades: Sequence[Grade]) -> list[str]:
+    """Errors at check points by each grade of control."""
+    if not grades:
+        return []
+    table = _table("orientation by", "rms plan [m]", "rms height [m]", "predicted plan", "predicted height", "points")
+    for g in grades:
+        said = [f"{v:.3g}" if v is not None else "none stated" for v in (g.predicted_horizontal, g.predicted_vertical)]
+        table.add_row(g.method, f"{g.rms_horizontal:.3g}", f"{g.rms_vertical:.3g}", *said, str(g.points))
+    return ["errors at check points", _rendered(table)]
 
 
 def intersection_text(done: IntersectedProject) -> str:

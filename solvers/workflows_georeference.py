@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -14,6 +14,7 @@ from .block import Block, Image, Observations, Points
 from .errors import BadProject, PhotogrammetryError
 from .geometry import LocalFrame, Onboard
 from .io import (
+    WrittenCorners,
     assemble,
     crs,
     find_geoid,
@@ -27,30 +28,38 @@ from .io import (
     read_project,
     read_surface,
     thumbnail,
+    write_corners,
     write_json,
     write_priors,
 )
 from .io.photos import EXTENSIONS
 from .orientation import (
+    CornerControl,
     Footprint,
     Georeferenced,
+    Grade,
     Heading,
     Plane,
     Rig,
     Vertical,
     check_headings,
+    compare_project,
+    corner_control,
     footprint,
     footprints_geojson,
     georeference,
     height_bias,
     match_log,
 )
+from .orientation.grades import COARSE_M
 from .orientation.headings import Matches
 from .orientation.monoplot import Ground
 from .workflows_orientation import ground_of
 
 PHOTO_SIDE = 1600
 """Longer side [px] of the small photos whose content is compared."""
+RELIEF = 0.02
+"""How far the ground is taken to depart from a level where nothing is said, of the height above it."""
 NEIGHBOURS = 4
 """Photos that each one is compared with."""
 
@@ -78,6 +87,10 @@ class Flown:
     correct_headings: bool = False
     footprints: str | None = None
     write_priors: bool = False
+    corners: str | None = None  # file to write the image corners to, as control
+    relief: float | None = None  # m, how far the ground departs from the level under the corners
+    compare: bool = False
+    coarse_m: tuple[float, float, float] = COARSE_M
     pixel_um: float | None = None
     c_mm: float | None = None
 
@@ -105,6 +118,8 @@ class Direct(NamedTuple):
     notes: tuple[str, ...]
     warnings: tuple[str, ...]
     run: Path | None
+    corners: tuple[CornerControl, ...] = ()
+    grades: tuple[Grade, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """The JSON of the command georeference."""
@@ -113,6 +128,9 @@ class Direct(NamedTuple):
                               "height_ratio": h.height_ratio, "words": h.words} for h in self.headings],
                 "footprints": [{"image": f.image, "area_m2": f.area, "corners": f.corners.tolist()} for f in self.footprints],
                 "failed": [{"image": n, "why": w} for n, w in self.failed], "notes": list(self.notes),
+                "corners": [{"image": c.image, "names": list(c.names), "xyz": c.xyz.tolist(), "sigma": c.sigma.tolist()}
+                            for c in self.corners],
+                "comparison": [asdict(g) for g in self.grades],
                 "warnings": list(self.warnings), "run": None if self.run is None else str(self.run)}
 
 
@@ -121,9 +139,10 @@ def georeference_flight(target: Path | str, flown: Flown) -> Direct:
 
     Writes footprints and priors where asked; in a project it leaves a run with result.json. Raises PhotogrammetryError.
     """
-    needs_camera = bool(flown.footprints) or flown.check_headings or flown.correct_headings
-    if flown.footprints and not Path(flown.footprints).resolve().parent.is_dir():
-        raise BadProject(f"{flown.footprints}: there is no such folder for the footprints; make it first or correct the path")
+    needs_camera = bool(flown.footprints or flown.corners) or flown.check_headings or flown.correct_headings or flown.compare
+    for out in (flown.footprints, flown.corners):
+        if out and not Path(out).resolve().parent.is_dir():
+            raise BadProject(f"{out}: there is no such folder to write into; make it first or correct the path")
     site = _site(Path(target), flown, needs_camera)
     onboard, failed, said = _onboard(site, flown)
     site = _on_map(site, onboard)
@@ -147,7 +166,19 @@ def georeference_flight(target: Path | str, flown: Flown) -> Direct:
         solved = _corrected(solved, headings) if flown.correct_headings else solved
     outlines, missed = _outlines(site.block, solved, ground, frame) if flown.footprints and ground is not None else ((), ())
     notes = (*site.notes, *said, *how, *((f"ground: {where}",) if where else ()))
-    result = Direct(solved, site.block.crs, where, headings, outlines, (*failed, *missed), notes, doubts, None)
+    corners: tuple[CornerControl, ...] = ()
+    grades: tuple[Grade, ...] = ()
+    if ground is not None and (flown.corners or flown.compare):
+        z = _level(ground, solved)
+        above = abs(float(np.mean([g.exterior.centre[2] for g in solved])) - z)
+        relief = flown.relief if flown.relief is not None else RELIEF * above
+        notes = (*notes, f"corners: on level ground at {z:.1f} m, taken to be so within {relief:.2g} m (--relief)")
+        corners, flat = _corners(site.block, solved, z, relief)
+        missed = (*missed, *flat)
+        if flown.compare:
+            grades, checked = compare_project(site.block, solved, z, relief, coarse_m=flown.coarse_m)
+            notes = (*notes, f"comparison: {checked}")
+    result = Direct(solved, site.block.crs, where, headings, outlines, (*failed, *missed), notes, doubts, None, corners, grades)
     return _written(result, site, flown)
 
 
@@ -160,6 +191,11 @@ def _written(result: Direct, site: Site, flown: Flown) -> Direct:
         area = [f.area for f in result.footprints]
         said = f"footprints: {len(area)} in {flown.footprints}, {min(area):.0f} to {max(area):.0f} m^2 each"
         result = result._replace(notes=(*result.notes, said))
+    if flown.corners and result.corners:
+        write_corners(Path(flown.corners), result.crs, [WrittenCorners(c.image, c.names, c.xyz, c.covariance, c.pixels)
+                                                        for c in result.corners])
+        result = result._replace(notes=(*result.notes, f"corners: of {len(result.corners)} images in {flown.corners}, for "
+                                                       f"collinea adjust --corners {flown.corners}"))
     if flown.write_priors:
         if site.folder is None:
             raise BadProject("priors are written into a project and none was given; make one with collinea init, then give it to "
@@ -375,6 +411,18 @@ def _turn(heading: Heading) -> float:
 def _corrected(solved: Sequence[Georeferenced], headings: Sequence[Heading]) -> tuple[Georeferenced, ...]:
     turn = {h.image: _turn(h) for h in headings}
     return tuple(g.turned(turn[g.image]) if turn.get(g.image) else g for g in solved)
+
+
+def _corners(block: Block, solved: Sequence[Georeferenced], z: float,
+             relief: float) -> tuple[tuple[CornerControl, ...], tuple[tuple[str, str], ...]]:
+    """Corners as control, and of the images that have none the reason."""
+    found, missed = [], []
+    for g in solved:
+        try:
+            found.append(corner_control(block, g, z, relief))
+        except PhotogrammetryError as error:
+            missed.append((g.image, f"no corners as control: {error}"))
+    return tuple(found), tuple(missed)
 
 
 def _outlines(block: Block, solved: Sequence[Georeferenced], ground: Ground,

@@ -70,15 +70,14 @@ def project_derivatives(interior: Interior, exterior: Exterior, points: np.ndarr
     per_depth = -c / _depths(w, interior.front)
     ideal = uvw[:, :2] * per_depth[:, None]
     reduced = interior.distorted(ideal)
-    by_ideal = np.broadcast_to(np.diag([1.0, -1.0] / interior.pitch), (n, 2, 2))
+    slope = np.broadcast_to(np.eye(2), (n, 2, 2))
     by_camera = np.zeros((n, 2, 3))  # of the ideal coordinates first
     by_camera[:, 0, 0] = by_camera[:, 1, 1] = per_depth
     by_camera[:, :, 2] = ideal * (per_depth / c)[:, None]
     if interior.coefficients.any():
-        by_ideal = by_ideal @ interior.slope(ideal, reduced)
-        by_camera = by_ideal @ by_camera
-    else:
-        by_camera *= ([1.0, -1.0] / interior.pitch)[:, None]
+        slope = interior.slope(ideal, reduced)
+        by_camera = slope @ by_camera
+    by_camera *= ([1.0, -1.0] / interior.pitch)[:, None]
     return Projection(
         pixels=interior.pixels(reduced + interior.principal_point),
         centre=-by_camera @ exterior.m,

@@ -16,6 +16,7 @@ from ..errors import BadProject, DegenerateGeometry
 from ..geometry import Exterior, LocalFrame, angle_derivatives
 from .control import Control, control_of, geometry_warnings, require
 from .initial import Candidate, apart, candidates
+from .oriented import to_vector
 from .orthogonal import Form, Orthogonal
 from .orthogonal_c import OrthogonalFreeC
 from .resection import COLUMNS, UNITS, PriorOrientation, Resection
@@ -397,6 +398,9 @@ def given_prior(block: Block, name: str, frame: LocalFrame) -> PriorOrientation:
         raise BadProject(f"image '{name}' has no complete prior; give [images.{name}.prior] with X, Y, Z, omega_deg, phi_deg, "
                          "kappa_deg in project.toml")
     exterior = Exterior.from_angles(*prior.angles, centre=frame.to_local(prior.centre))
+    if prior.covariance is not None:
+        j = to_vector(exterior)
+        return PriorOrientation.of(exterior, j @ prior.covariance @ j.T)
     unknown = np.full(3, np.inf)
     sigma_m = unknown if prior.sigma_m is None else np.asarray(prior.sigma_m, float)
     sigma_rad = unknown if prior.sigma_rad is None else np.asarray(prior.sigma_rad, float)

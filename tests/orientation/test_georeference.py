@@ -22,10 +22,11 @@ from solvers.geometry import (
     yaw_pitch_roll,
 )
 from solvers.geometry.gimbal import Mount
-from solvers.orientation.corners import Flight, compare_control, corner_control, vertical_corners
+from solvers.orientation.corners import corner_control, vertical_corners
 from solvers.orientation.flightlog import match_log
 from solvers.orientation.footprint import footprint, footprints_geojson
 from solvers.orientation.georeference import Rig, Vertical, georeference, height_bias
+from solvers.orientation.grades import Flight, compare_control
 from solvers.orientation.headings import check_headings
 from solvers.orientation.monoplot import Plane
 from solvers.orientation.oriented import Known, vector_covariance

@@ -1,0 +1,213 @@
+"""What control of each grade is worth: errors at independent check points, for a simulated flight or a measured project."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..block import Block, Image, Observations, Points
+from ..cameras import Interior, project
+from ..errors import BadProject, DegenerateGeometry
+from ..geometry import Exterior, exp
+from .corners import corner_control, corner_orientation, vertical_corners
+from .footprint import corner_pixels
+from .intersection import ObjectPoint, intersect
+from .oriented import Known, Oriented, frame_of, local
+from .single import Request, orient
+
+COARSE_M = (2.5, 2.5, 5.0)
+"""Standard errors of control taken from a map or a satellite image [m]."""
+LEAST_CHECKS = 3
+"""Check points below which a project's control is checked by leaving each point out in turn."""
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A simulated flight with its truth. exteriors: one per image, local metres; control (n, 3), check (k, 3) m on the ground;
+    z: mean height of the ground, relief: its departure from it [m]."""
+
+    interior: Interior
+    exteriors: tuple[Exterior, ...]
+    control: np.ndarray
+    check: np.ndarray
+    z: float
+    relief: float
+    image_px: float = 0.5
+
+
+@dataclass(frozen=True)
+class Grade:
+    """Errors at independent check points [m]: horizontal and vertical root mean square, the same as the covariances predict
+    (None where a method states none), how many check points, and failed images."""
+
+    method: str
+    rms_horizontal: float
+    rms_vertical: float
+    predicted_horizontal: float | None
+    predicted_vertical: float | None
+    points: int
+    images: int
+
+
+def compare_control(flight: Flight, rng: np.random.Generator, *, gps_m: Sequence[float] = (3.0, 3.0, 5.0),
+                    imu_deg: Sequence[float] = (1.0, 1.0, 3.0), coarse_m: Sequence[float] = COARSE_M,
+                    surveyed_m: Sequence[float] = (0.02, 0.02, 0.03)) -> tuple[Grade, ...]:
+    """Check points intersected from images oriented in five ways, one draw of all errors.
+
+    Vertical corners (the printed formula), onboard GPS and IMU (whole rotation), the corners of it as correlated control
+    (the same thing, as it must be), coarse control (map or satellite image grade) and surveyed control. The three onboard
+    methods share one draw of GPS and IMU errors.
+    """
+    block, control_of = _simulated(flight, rng), len(flight.control)
+    onboard = tuple(_disturbed(f"i{k}", e, np.array(gps_m), np.radians(imu_deg), rng) for k, e in enumerate(flight.exteriors))
+    out = []
+    vertical = [_from_corners(block, o.image,
+                              vertical_corners(flight.interior, o.exterior.centre, float(o.exterior.angles[2]), flight.z))
+                for o in onboard]
+    out.append(_graded("vertical corners (printed formula)", block, vertical, flight))
+    out.append(_graded("onboard GPS and IMU", block, onboard, flight))
+    corners = [corner_control(block, o, flight.z, flight.relief) for o in onboard]
+    out.append(_graded("onboard corners as correlated control", block, [corner_orientation(block, c) for c in corners], flight))
+    for name, sigma in (("coarse control", coarse_m), ("surveyed control", surveyed_m)):
+        moved = flight.control + np.array(sigma) * rng.standard_normal((control_of, 3))
+        points = replace(block.points, xyz=np.vstack([moved, flight.check]),
+                         sigma=np.vstack([np.broadcast_to(sigma, (control_of, 3)), np.full((len(flight.check), 3), np.nan)]))
+        graded = replace(block, points=points)
+        solved = [_resected(graded, i.name) for i in block.images]
+        out.append(_graded(name, block, [o for o in solved if o is not None], flight))
+    return tuple(out)
+
+
+def _simulated(flight: Flight, rng: np.random.Generator) -> Block:
+    """Measurements of everything each image sees; all points stated at their truth."""
+    xyz, n = np.vstack([flight.control, flight.check]), len(flight.control)
+    image, point, pixel = [], [], []
+    for k, e in enumerate(flight.exteriors):
+        at = project(flight.interior, e, xyz)
+        seen = np.flatnonzero(np.isfinite(at).all(axis=1) & flight.interior.inside(at))
+        image += [k] * len(seen)
+        point += list(seen)
+        pixel.append(at[seen] + flight.image_px * rng.standard_normal((len(seen), 2)))
+    return Block("flight", "local", {"cam": flight.interior}, tuple(Image(f"i{k}", "cam") for k in range(len(flight.exteriors))),
+                 Points(tuple(f"P{k}" for k in range(len(xyz))), xyz, np.full((len(xyz), 3), np.nan),
+                        ("control",) * n + ("check",) * (len(xyz) - n)),
+                 Observations(np.array(image, int), np.array(point, int), np.vstack(pixel), np.full(len(image), flight.image_px)))
+
+
+def _disturbed(image: str, true: Exterior, sigma_m: np.ndarray, sigma_rad: np.ndarray, rng: np.random.Generator) -> Known:
+    """An orientation with GPS and IMU errors (tilt about north, about east, yaw) and the covariance that says so."""
+    d = sigma_rad * rng.standard_normal(3)
+    given = Exterior(true.m @ exp(d), true.centre + sigma_m * rng.standard_normal(3))
+    cov = np.zeros((6, 6))
+    cov[:3, :3], cov[3:, 3:] = np.diag(sigma_m**2), given.m @ np.diag(sigma_rad**2) @ given.m.T
+    return Known(image, given, given.angle_covariance(cov))
+
+
+def _from_corners(block: Block, image: str, xyz: np.ndarray) -> Known:
+    """Orientation of an image by its four corners as control, each alike and free of error, as printed."""
+    single = Block("corners", block.crs, block.cameras, (Image(image, block.images[block.image_index(image)].camera),),
+                   Points(("F1", "F2", "F3", "F4"), xyz, np.full((4, 3), 1.0), ("control",) * 4),
+                   Observations(np.zeros(4, int), np.arange(4), corner_pixels(block.camera_of(image)),
+                                np.full(4, block.image_px)), frame=block.frame)
+    return Known(image, orient(single, Request(image)).exterior)
+
+
+def _resected(block: Block, image: str) -> Known | None:
+    try:
+        o = orient(block, Request(image))
+    except DegenerateGeometry:
+        return None
+    return Known(image, o.exterior, o.covariance)
+
+
+def _graded(method: str, block: Block, oriented: Sequence[Known], flight: Flight) -> Grade:
+    """Errors of the check points that two or more images see."""
+    names = block.points.names[len(flight.control):]
+    try:
+        points = [p for p in intersect(block, oriented).points if p.name in names]
+    except DegenerateGeometry:
+        points = []
+    return _grade(method, points, all(o.covariance is not None for o in oriented), len(oriented))
+
+
+def _grade(method: str, points: Sequence[ObjectPoint], stated: bool, images: int) -> Grade:
+    if not points:
+        return Grade(method, float("nan"), float("nan"), None, None, 0, images)
+    error = np.array([p.xyz - p.given for p in points])
+    var = np.array([np.diag(p.covariance) for p in points]).mean(axis=0)
+    rms = np.sqrt((error**2).mean(axis=0))
+    return Grade(method, float(np.hypot(rms[0], rms[1])), float(rms[2]), float(np.sqrt(var[0] + var[1])) if stated else None,
+                 float(np.sqrt(var[2])) if stated else None, len(points), images)
+
+
+# -- a project's own points -------------------------------------------------------------------------------------------------
+
+
+def compare_project(block: Block, onboard: Sequence[Oriented], z: float, relief: float, *, coarse_m: Sequence[float] = COARSE_M,
+                    seed: int = 0) -> tuple[tuple[Grade, ...], str]:
+    """The same comparison with a project's measurements: onboard orientations, surveyed control as the project has it, and
+    coarse control made of it with drawn errors of coarse_m (there is no other way to know better). Returns the table and how
+    it was checked, in words.
+
+    Checked at the points of role check; with fewer than three of them, at every control point, left out in turn where control
+    orients the images. Raises BadProject where the project has too few points seen twice.
+    """
+    seen = {o.image for o in onboard}
+    twice = _seen_twice(block, seen)
+    checks = tuple(n for n in twice if block.points.role[block.point_index(n)] == "check")
+    apart = len(checks) >= LEAST_CHECKS
+    names = checks if apart else tuple(n for n in twice if block.points.role[block.point_index(n)] != "tie")
+    if len(names) < LEAST_CHECKS:
+        raise BadProject(f"{block.name}: a comparison needs {LEAST_CHECKS} points with known coordinates, each measured in two "
+                         f"images, there are {len(names)}; measure more of them in observations.csv")
+    frame = frame_of(block, {o.image: o for o in onboard})
+    vertical = []
+    for o in onboard:
+        at = local(o, frame)
+        corners = vertical_corners(block.camera_of(o.image), at.centre, float(at.angles[2]), z - frame.origin[2])
+        vertical.append(_from_corners(block, o.image, frame.to_map(corners)))
+    fixed = [Known(o.image, o.exterior, o.covariance) for o in onboard]
+    corners = [corner_orientation(block, corner_control(block, o, z, relief)) for o in onboard]
+    out = [_checked("vertical corners (printed formula)", block, names, lambda _: vertical),
+           _checked("onboard GPS and IMU", block, names, lambda _: fixed),
+           _checked("onboard corners as correlated control", block, names, lambda _: corners)]
+    rng = np.random.default_rng(seed)
+    drawn = np.array(coarse_m) * rng.standard_normal((len(block.points), 3))
+    moved = replace(block, points=replace(block.points, xyz=block.points.xyz + drawn, sigma=np.broadcast_to(
+        np.array(coarse_m), (len(block.points), 3)).copy()))
+    for method, graded in ((f"coarse control ({coarse_m[0]:g} m, {coarse_m[2]:g} m in height, drawn)", moved),
+                           ("surveyed control", block)):
+        everything = _all_resected(graded, seen, None) if apart else []
+        out.append(_checked(method, block, names, lambda n, g=graded, e=everything: e or _all_resected(g, seen, n)))
+    said = f"at {len(names)} check points" if apart else (
+        f"at {len(names)} control points, each left out of the orientations by control in its turn")
+    return tuple(out), said
+
+
+def _seen_twice(block: Block, images: set[str]) -> tuple[str, ...]:
+    """Points with coordinates that two of the images see."""
+    usable = np.array([i.name in images for i in block.images])[block.observations.image]
+    rays = np.bincount(block.observations.point[usable], minlength=len(block.points))
+    return tuple(n for n, k, x in zip(block.points.names, rays, block.points.xyz, strict=True) if k >= 2 and np.isfinite(x).all())
+
+
+def _all_resected(block: Block, images: set[str], without: str | None) -> list[Known]:
+    """Every image that control orients, one point left out."""
+    if without is not None:
+        block = block.with_role(without, "check")
+    return [o for o in (_resected(block, i.name) for i in block.images if i.name in images) if o is not None]
+
+
+def _checked(method: str, block: Block, names: Sequence[str], oriented: Callable[[str], list[Known]]) -> Grade:
+    """Errors at check points, each intersected from the orientations that do not know it."""
+    points, stated = [], True
+    for name in names:
+        known = oriented(name)
+        stated &= all(o.covariance is not None for o in known)
+        try:
+            points += intersect(block, known, (name,)).points
+        except (BadProject, DegenerateGeometry):
+            continue
+    return _grade(method, points, stated, len(block.images))
