@@ -158,6 +158,6 @@ def _georeference_options(command: Parser) -> None:
                        help="level ground (default: [surface], or the take-off point's level)")
     where.add_argument("--dem", metavar="DEM.tif", help="heights of the ground")
     ground.add_argument("--relief", type=positive, metavar="S",
-                        help="how far the ground under the corners departs from a level [m] (default: 2 %% of the height above it)")
+                        help="how far the ground under the corners departs from a level [m] (default: 2 %% of the flying height)")
     ground.add_argument("--pixel-um", type=positive, metavar="P", help="pixel size in micrometres, where EXIF does not tell it")
     ground.add_argument("--c-mm", type=positive, metavar="C", help="principal distance in mm, where EXIF does not tell it")

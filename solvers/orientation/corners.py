@@ -75,7 +75,7 @@ def corner_orientation(block: Block, corners: CornerControl) -> Known:
     found = candidates(ground - mean, interior.ideal(corners.pixels), interior.c)
     if not found:
         raise DegenerateGeometry(f"image '{corners.image}': its corners are control that no camera can see; write them anew")
-    at = found[0].exterior.shifted(-mean)
+    at, covariance = found[0].exterior.shifted(-mean), np.zeros((6, 6))
     for _ in range(20):
         linear = Resection(interior, ground, corners.pixels, np.broadcast_to(np.eye(2), (4, 2, 2))).linear(at.vector)
         j, jx = linear.j.reshape(8, 6), np.zeros((8, 12))

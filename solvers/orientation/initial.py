@@ -64,8 +64,8 @@ def candidates(points: np.ndarray, xy: np.ndarray, c: float, noise: Noise | None
     s = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     crude = _different(parallel_starts(points, xy, c), points, xy, c)
     refined, cost = refine(points, xy, c, [e for _, e in crude])
-    enough = noise is not None and len(crude) > 0 and len(_far_apart(points)) == 6
-    if not (enough and _explained(points, xy, c, refined[int(np.argmin(cost))], noise)):
+    if (noise is None or not crude or len(_far_apart(points)) < 6
+            or not _explained(points, xy, c, refined[int(np.argmin(cost))], noise)):
         more = _different([*crude, *other_starts(points, xy, c, s)], points, xy, c)[len(crude):]
         finer, its_cost = refine(points, xy, c, [e for _, e in more])
         crude, refined, cost = crude + more, refined + finer, np.append(cost, its_cost)
@@ -133,7 +133,7 @@ def scaled_orthography(points: np.ndarray, xy: np.ndarray, c: float, updates: in
     signs = np.array([0.0 if k == "affine" else float(k) for k in wanted])
     hand = np.array([1.0, 1.0, np.sign(np.linalg.det(vt))])  # the third axis is the plane's normal, right-handed
     vt, along = vt * hand[:, None], u * hand / np.where(s > 0, s, np.inf)  # principal coordinates over squared extents
-    depth = np.ones((len(signs), len(points)))
+    depth, m, shift = np.ones((len(signs), len(points))), np.zeros((0, 3, 3)), np.zeros((0, 3))
     for update in range(updates + 1):
         if not len(signs):
             break
@@ -149,7 +149,7 @@ def scaled_orthography(points: np.ndarray, xy: np.ndarray, c: float, updates: in
         if update < updates:
             good &= (depth > 0).all(axis=1)
         signs, depth, m, shift = signs[good], depth[good], m[good], shift[good]
-    return [Exterior(a, mean - a.T @ b) for a, b in zip(m, shift, strict=True)] if len(signs) else []
+    return [Exterior(a, mean - a.T @ b) for a, b in zip(m, shift, strict=True)]
 
 
 def _third(block: np.ndarray) -> np.ndarray:
