@@ -32,6 +32,9 @@ def _options(command: Parser, free: str = "none") -> None:
     command.add_argument("--datum", choices=("control", "free", "prior", "both"), default="control",
                          help="what gives place, attitude and scale: control points; inner constraints; GPS/IMU priors; control "
                               "and priors (default: control)")
+    command.add_argument("--corners", metavar="C.json",
+                         help="image corners as control, from collinea georeference --corners: each image's four with their "
+                              "covariance; takes datum both, or prior where the project has no control")
     command.add_argument("--free", type=_free, default=free, metavar="none|all|c,xp,yp,k1,...",
                          help=f"interior parameters to adjust (default: {free})")
     command.add_argument("--start", choices=("auto", "resection", "dlt", "affine", "relative", "prior"), default="auto",
@@ -51,7 +54,7 @@ def _free(text: str) -> tuple[str, ...]:
 def _request(args: argparse.Namespace) -> dict[str, Any]:
     return {"datum": args.datum, "free": _free(args.free) if isinstance(args.free, str) else args.free, "start": args.start,
             "loss": args.loss if args.robust else None, "images": tuple(args.image) or None, "model": args.model,
-            "transform": args.transform}
+            "transform": args.transform, "corners": args.corners}
 
 
 def _adjust(args: argparse.Namespace) -> int:

@@ -92,8 +92,8 @@ def _georeference(args: argparse.Namespace) -> int:
         heights=args.heights.replace("-", " "), photo_heights=args.photo_heights, undulation=args.undulation,
         height_bias=args.height_bias, take_off=args.take_off, flying_height=args.flying_height, rig=rig, ground_z=args.ground_z,
         dem=args.dem, check_headings=args.check_headings, correct_headings=args.correct_headings, footprints=args.footprints,
-        write_priors=args.write_priors, corners=args.corners, relief=args.relief, compare=args.compare,
-        coarse_m=three(args.coarse_m) or COARSE_M, pixel_um=args.pixel_um, c_mm=args.c_mm))
+        write_priors=args.write_priors, from_priors=args.from_priors, corners=args.corners, relief=args.relief,
+        compare=args.compare, coarse_m=three(args.coarse_m) or COARSE_M, pixel_um=args.pixel_um, c_mm=args.c_mm))
     emit(args, done.to_json(), georeference_text(done))
     if not done.failed:
         return 0
@@ -125,6 +125,8 @@ def _georeference_options(command: Parser) -> None:
     command.add_argument("--crs", help="coordinate system for a folder: EPSG:CODE (default: its UTM zone)")
     command.add_argument("--footprints", metavar="F.geojson", help="write what each photo covers on the ground")
     command.add_argument("--write-priors", action="store_true", help="put the result into the project as priors")
+    command.add_argument("--from-priors", action="store_true",
+                         help="take the priors of the project in place of what photos and logs say")
     command.add_argument("--corners", metavar="C.json",
                          help="write the four corners of each image as control, with their covariance, for adjust --corners")
     command.add_argument("--compare", action="store_true",

@@ -12,9 +12,9 @@ import numpy as np
 
 from .adjustment import Options, Trace, iterate
 from .block import Block
-from .errors import DegenerateGeometry
-from .io import new_run, read_bal, read_project, save_trace, write_json
-from .orientation import Adjusted, BundleRequest
+from .errors import BadProject, DegenerateGeometry
+from .io import new_run, read_bal, read_corners, read_project, save_trace, write_json
+from .orientation import Adjusted, BundleRequest, CornerControl, with_corners
 from .orientation.bundle import BundleStart, conclude_bundle, prepare_bundle
 
 BundleRecorder = Callable[[Path, Block, Adjusted], object]
@@ -39,13 +39,15 @@ class AdjustedProject(NamedTuple):
 
 
 def adjust_project(folder: Path | str, command: str = "adjust", recorder: BundleRecorder | None = None,
-                   **options: Any) -> AdjustedProject:
+                   corners: str | None = None, **options: Any) -> AdjustedProject:
     """Adjust all images of a project together and leave a run: trace, result.json, recording.rrd.
 
-    options: as in `BundleRequest`. Raises PhotogrammetryError; then no run is left.
+    corners: a file of image corners as control. options: as in `BundleRequest`. Raises PhotogrammetryError; then no run is left.
     """
     folder = Path(folder)
     block = read_project(folder)
+    if corners is not None:
+        block, options = _by_corners(block, corners, options)
     result = adjust_block(block, **options)
     run = new_run(folder, command)
     try:
@@ -58,6 +60,17 @@ def adjust_project(folder: Path | str, command: str = "adjust", recorder: Bundle
         shutil.rmtree(run, ignore_errors=True)
         raise
     return done
+
+
+def _by_corners(block: Block, path: str, options: dict[str, Any]) -> tuple[Block, dict[str, Any]]:
+    """The block with its image corners as weighted control, and the datum they belong to. Raises BadProject."""
+    block = with_corners(block, [CornerControl(*c) for c in read_corners(path, block.crs)])
+    if options.get("datum") == "free":
+        raise BadProject("--datum free takes no control; leave it out, or leave out --corners")
+    has_control = bool(len(block.observations)) and "control" in {block.points.role[j] for j in block.observations.point.tolist()}
+    if options.get("datum", "control") == "control":
+        options = {**options, "datum": "both" if has_control else "prior"}
+    return block, options
 
 
 def adjust_bal(path: Path | str, **options: Any) -> AdjustedProject:

@@ -12,7 +12,7 @@ import numpy as np
 
 from .block import Block, Image, Observations, Points
 from .errors import BadProject, PhotogrammetryError
-from .geometry import LocalFrame, Onboard
+from .geometry import Exterior, LocalFrame, Onboard
 from .io import (
     WrittenCorners,
     assemble,
@@ -54,6 +54,7 @@ from .orientation import (
 from .orientation.grades import COARSE_M
 from .orientation.headings import Matches
 from .orientation.monoplot import Ground
+from .orientation.single import given_prior
 from .workflows_orientation import ground_of
 
 PHOTO_SIDE = 1600
@@ -87,6 +88,7 @@ class Flown:
     correct_headings: bool = False
     footprints: str | None = None
     write_priors: bool = False
+    from_priors: bool = False  # the priors of the project in place of what the photos say
     corners: str | None = None  # file to write the image corners to, as control
     relief: float | None = None  # m, how far the ground departs from the level under the corners
     compare: bool = False
@@ -104,6 +106,10 @@ class Site(NamedTuple):
     folder: Path | None
     table: Path | None
     notes: tuple[str, ...] = ()
+
+
+Solved = tuple[Site, tuple[Georeferenced, ...], tuple[tuple[str, str], ...], tuple[str, ...]]
+"""What is georeferenced, its orientations, the images without one and why, and what to say of it all."""
 
 
 class Direct(NamedTuple):
@@ -143,19 +149,11 @@ def georeference_flight(target: Path | str, flown: Flown) -> Direct:
     for out in (flown.footprints, flown.corners):
         if out and not Path(out).resolve().parent.is_dir():
             raise BadProject(f"{out}: there is no such folder to write into; make it first or correct the path")
-    site = _site(Path(target), flown, needs_camera)
-    onboard, failed, said = _onboard(site, flown)
-    site = _on_map(site, onboard)
+    site, solved, failed, how = _from_priors(Path(target), flown) if flown.from_priors else _recorded(Path(target), flown,
+                                                                                                 needs_camera)
     known = np.isfinite(site.block.points.xyz).all(axis=1).any()
-    frame = LocalFrame.around(site.block.points.xyz, site.block.crs) if known else None
-    vertical, how = _vertical(flown)
-    solved = georeference(onboard, site.block.crs, frame=frame, vertical=vertical, rig=flown.rig)
-    if flown.height_bias == "control":
-        bias, sigma, count = height_bias(site.block, solved)
-        vertical = replace(vertical, bias=bias, bias_sigma=sigma)
-        solved = georeference(onboard, site.block.crs, frame=frame, vertical=vertical, rig=flown.rig)
-        how = (*how, f"height bias: {bias:+.2f} m (sigma {sigma:.2f} m) from {count} measurements of control points")
-    frame = frame or LocalFrame.around(np.array([g.exterior.centre for g in solved]), site.block.crs)
+    around = site.block.points.xyz if known else np.array([g.exterior.centre for g in solved])
+    frame = LocalFrame.around(around, site.block.crs, site.block.frame)
     ground, where, doubts = _ground(site, solved, flown) if needs_camera else (None, None, ())
     headings: tuple[Heading, ...] = ()
     if ground is not None and (flown.check_headings or flown.correct_headings):
@@ -165,7 +163,7 @@ def georeference_flight(target: Path | str, flown: Flown) -> Direct:
                      f"{sum(not _turn(h) for h in headings)} agree")
         solved = _corrected(solved, headings) if flown.correct_headings else solved
     outlines, missed = _outlines(site.block, solved, ground, frame) if flown.footprints and ground is not None else ((), ())
-    notes = (*site.notes, *said, *how, *((f"ground: {where}",) if where else ()))
+    notes = (*site.notes, *how, *((f"ground: {where}",) if where else ()))
     corners: tuple[CornerControl, ...] = ()
     grades: tuple[Grade, ...] = ()
     if ground is not None and (flown.corners or flown.compare):
@@ -177,9 +175,50 @@ def georeference_flight(target: Path | str, flown: Flown) -> Direct:
         missed = (*missed, *flat)
         if flown.compare:
             grades, checked = compare_project(site.block, solved, z, relief, coarse_m=flown.coarse_m)
-            notes = (*notes, f"comparison: {checked}")
+            notes = (*notes, *(f"comparison: {c}" for c in checked))
     result = Direct(solved, site.block.crs, where, headings, outlines, (*failed, *missed), notes, doubts, None, corners, grades)
     return _written(result, site, flown)
+
+
+def _recorded(target: Path, flown: Flown, needs_camera: bool) -> Solved:
+    """Orientations from what photos, tables and logs say."""
+    site = _site(target, flown, needs_camera)
+    onboard, failed, said = _onboard(site, flown)
+    site = _on_map(site, onboard)
+    known = np.isfinite(site.block.points.xyz).all(axis=1).any()
+    frame = LocalFrame.around(site.block.points.xyz, site.block.crs) if known else None
+    vertical, how = _vertical(flown)
+    solved = georeference(onboard, site.block.crs, frame=frame, vertical=vertical, rig=flown.rig)
+    if flown.height_bias == "control":
+        bias, sigma, count = height_bias(site.block, solved)
+        vertical = replace(vertical, bias=bias, bias_sigma=sigma)
+        solved = georeference(onboard, site.block.crs, frame=frame, vertical=vertical, rig=flown.rig)
+        how = (*how, f"height bias: {bias:+.2f} m (sigma {sigma:.2f} m) from {count} measurements of control points")
+    return site, solved, failed, (*said, *how)
+
+
+def _from_priors(folder: Path, flown: Flown) -> Solved:
+    """Orientations as a project's priors state them. Raises BadProject where an image lacks one that is complete."""
+    block = read_project(folder)
+    wanted = [block.images[block.image_index(n)].name for n in flown.images] or [i.name for i in block.images]
+    frame = LocalFrame.around(block.points.xyz, block.crs, block.frame)
+    solved, failed = [], []
+    for name in wanted:
+        try:
+            prior = given_prior(block, name, frame)
+        except BadProject as error:
+            failed.append((name, str(error)))
+            continue
+        if prior.count < 6:
+            failed.append((name, f"the prior of image '{name}' needs sigma_m and sigma_deg in [images.{name}.prior]"))
+            continue
+        inverse = np.linalg.inv(prior.root)
+        at = prior.exterior
+        solved.append(Georeferenced(name, Exterior(at.m, frame.to_map(at.centre)), at.angle_covariance(inverse @ inverse.T),
+                                    "as the project's priors have them", 0.0, None, ("from: [images.NAME.prior]",)))
+    if not solved:
+        raise BadProject(failed[0][1] if failed else f"{block.name}: there are no images; add them first")
+    return Site(block, {}, folder, None), tuple(solved), tuple(failed), ("orientations: the priors of the project",)
 
 
 def _written(result: Direct, site: Site, flown: Flown) -> Direct:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,7 +12,9 @@ from ..block import Block, Image, Observations, Points
 from ..cameras import Interior, project
 from ..errors import BadProject, DegenerateGeometry
 from ..geometry import Exterior, exp
-from .corners import corner_control, corner_orientation, vertical_corners
+from .bundle import adjust
+from .bundle.given import Datum
+from .corners import corner_control, corner_orientation, vertical_corners, with_corners
 from .footprint import corner_pixels
 from .intersection import ObjectPoint, intersect
 from .oriented import Known, Oriented, frame_of, local
@@ -132,7 +135,7 @@ def _graded(method: str, block: Block, oriented: Sequence[Known], flight: Flight
     return _grade(method, points, all(o.covariance is not None for o in oriented), len(oriented))
 
 
-def _grade(method: str, points: Sequence[ObjectPoint], stated: bool, images: int) -> Grade:
+def _grade(method: str, points: Sequence[ObjectPoint | _Checked], stated: bool, images: int) -> Grade:
     if not points:
         return Grade(method, float("nan"), float("nan"), None, None, 0, images)
     error = np.array([p.xyz - p.given for p in points])
@@ -146,16 +149,17 @@ def _grade(method: str, points: Sequence[ObjectPoint], stated: bool, images: int
 
 
 def compare_project(block: Block, onboard: Sequence[Oriented], z: float, relief: float, *, coarse_m: Sequence[float] = COARSE_M,
-                    seed: int = 0) -> tuple[tuple[Grade, ...], str]:
-    """The same comparison with a project's measurements: onboard orientations, surveyed control as the project has it, and
-    coarse control made of it with drawn errors of coarse_m (there is no other way to know better). Returns the table and how
-    it was checked, in words.
+                    seed: int = 0) -> tuple[tuple[Grade, ...], tuple[str, ...]]:
+    """The same comparison with a project's measurements. Returns the table and how it was checked, in words.
 
+    Onboard orientations are used as they are; corners, coarse and surveyed control go through a bundle adjustment of everything
+    that was measured. Coarse control is the project's with drawn errors of coarse_m: there is no other way to know better.
     Checked at the points of role check; with fewer than three of them, at every control point, left out in turn where control
     orients the images. Raises BadProject where the project has too few points seen twice.
     """
     seen = {o.image for o in onboard}
-    twice = _seen_twice(block, seen)
+    block = _only(block, seen)
+    twice = _seen_twice(block)
     checks = tuple(n for n in twice if block.points.role[block.point_index(n)] == "check")
     apart = len(checks) >= LEAST_CHECKS
     names = checks if apart else tuple(n for n in twice if block.points.role[block.point_index(n)] != "tie")
@@ -166,48 +170,81 @@ def compare_project(block: Block, onboard: Sequence[Oriented], z: float, relief:
     vertical = []
     for o in onboard:
         at = local(o, frame)
-        corners = vertical_corners(block.camera_of(o.image), at.centre, float(at.angles[2]), z - frame.origin[2])
+        level = float(frame.to_local(np.append(o.exterior.centre[:2], z))[2])
+        corners = vertical_corners(block.camera_of(o.image), at.centre, float(at.angles[2]), level)
         vertical.append(_from_corners(block, o.image, frame.to_map(corners)))
-    fixed = [Known(o.image, o.exterior, o.covariance) for o in onboard]
-    corners = [corner_orientation(block, corner_control(block, o, z, relief)) for o in onboard]
-    out = [_checked("vertical corners (printed formula)", block, names, lambda _: vertical),
-           _checked("onboard GPS and IMU", block, names, lambda _: fixed),
-           _checked("onboard corners as correlated control", block, names, lambda _: corners)]
-    rng = np.random.default_rng(seed)
-    drawn = np.array(coarse_m) * rng.standard_normal((len(block.points), 3))
-    moved = replace(block, points=replace(block.points, xyz=block.points.xyz + drawn, sigma=np.broadcast_to(
-        np.array(coarse_m), (len(block.points), 3)).copy()))
-    for method, graded in ((f"coarse control ({coarse_m[0]:g} m, {coarse_m[2]:g} m in height, drawn)", moved),
-                           ("surveyed control", block)):
-        everything = _all_resected(graded, seen, None) if apart else []
-        out.append(_checked(method, block, names, lambda n, g=graded, e=everything: e or _all_resected(g, seen, n)))
-    said = f"at {len(names)} check points" if apart else (
-        f"at {len(names)} control points, each left out of the orientations by control in its turn")
-    return tuple(out), said
+    cornered = with_corners(_all_check(block), [corner_control(block, o, z, relief) for o in onboard])
+    drawn = np.array(coarse_m) * np.random.default_rng(seed).standard_normal((len(block.points), 3))
+    moved = replace(block, points=replace(block.points, xyz=block.points.xyz + drawn, sigma=np.tile(coarse_m, (len(drawn), 1))))
+    said = [f"checked at {len(names)} check points" if apart else
+            f"checked at {len(names)} control points, each left out of every adjustment by control in its turn"]
+    undetermined = 0.25 * float(np.mean([abs(o.exterior.centre[2] - z) for o in onboard]))
+    rows = [_direct("vertical corners (printed formula)", block, names, vertical),
+            _direct("onboard GPS and IMU", block, names, onboard),
+            _adjusted("onboard corners as correlated control", cornered, block, names, "prior", True, undetermined, said),
+            _adjusted(f"coarse control ({coarse_m[0]:g} m, height {coarse_m[2]:g} m; drawn)", moved, block, names, "control",
+                      apart, undetermined, said),
+            _adjusted("surveyed control", block, block, names, "control", apart, undetermined, said)]
+    return tuple(rows), tuple(said)
 
 
-def _seen_twice(block: Block, images: set[str]) -> tuple[str, ...]:
-    """Points with coordinates that two of the images see."""
-    usable = np.array([i.name in images for i in block.images])[block.observations.image]
-    rays = np.bincount(block.observations.point[usable], minlength=len(block.points))
+def _only(block: Block, images: set[str]) -> Block:
+    """The observations of some images."""
+    keep = np.array([i.name in images for i in block.images], bool)[block.observations.image]
+    of = block.observations
+    return replace(block, observations=Observations(of.image[keep], of.point[keep], of.pixel[keep], of.sigma[keep]))
+
+
+def _seen_twice(block: Block) -> tuple[str, ...]:
+    """Points with coordinates that two images see."""
+    rays = np.bincount(block.observations.point, minlength=len(block.points))
     return tuple(n for n, k, x in zip(block.points.names, rays, block.points.xyz, strict=True) if k >= 2 and np.isfinite(x).all())
 
 
-def _all_resected(block: Block, images: set[str], without: str | None) -> list[Known]:
-    """Every image that control orients, one point left out."""
-    if without is not None:
-        block = block.with_role(without, "check")
-    return [o for o in (_resected(block, i.name) for i in block.images if i.name in images) if o is not None]
+def _all_check(block: Block) -> Block:
+    """No point is control."""
+    return replace(block, points=replace(block.points, role=tuple("check" if r == "control" else r for r in block.points.role)))
 
 
-def _checked(method: str, block: Block, names: Sequence[str], oriented: Callable[[str], list[Known]]) -> Grade:
-    """Errors at check points, each intersected from the orientations that do not know it."""
-    points, stated = [], True
+def _direct(method: str, block: Block, names: Sequence[str], oriented: Sequence[Oriented]) -> Grade:
+    """Check points intersected from orientations as they are."""
+    points, stated = [], all(o.covariance is not None for o in oriented)
     for name in names:
-        known = oriented(name)
-        stated &= all(o.covariance is not None for o in known)
         try:
-            points += intersect(block, known, (name,)).points
+            points += intersect(block, oriented, (name,)).points
         except (BadProject, DegenerateGeometry):
             continue
-    return _grade(method, points, stated, len(block.images))
+    return _grade(method, points, stated, len(oriented))
+
+
+def _adjusted(method: str, block: Block, true: Block, names: Sequence[str], datum: Datum, at_once: bool, undetermined: float,
+              said: list[str]) -> Grade:
+    """Check points of bundle adjustments that do not know them; true: the block with their surveyed coordinates; undetermined:
+    predicted error [m] from which a point says nothing."""
+    points: list[_Checked] = []
+    why = ""
+    for group in [tuple(names)] if at_once else [(n,) for n in names]:
+        known = block
+        for name in group:
+            known = known.with_role(name, "check")
+        try:
+            found = {p.name: p for p in adjust(known, datum=datum).points}
+        except (BadProject, DegenerateGeometry) as error:
+            why = str(error)
+            continue
+        points += [_Checked(found[n].xyz, true.points.xyz[true.point_index(n)], found[n].covariance) for n in group if n in found]
+    if why:
+        said.append(f"{method}: {'' if points else 'no result: '}{why}")
+    sure = [p for p in points if np.trace(p.covariance) < undetermined**2]
+    if len(sure) < len(points):
+        said.append(f"{method}: {len(points) - len(sure)} point(s) left out that are not determined (predicted error beyond "
+                    f"{undetermined:.0f} m)")
+    return _grade(method, sure, True, len(block.images))
+
+
+class _Checked(NamedTuple):
+    """A check point: found and given coordinates (3,), covariance (3, 3)."""
+
+    xyz: np.ndarray
+    given: np.ndarray
+    covariance: np.ndarray

@@ -129,6 +129,17 @@ def test_threads_do_not_change_results():
     np.testing.assert_array_equal(a.covariance, b.covariance)
 
 
+@pytest.mark.parametrize(("model", "n", "relief"), [("perspective", 4, 0.0), ("perspective", 4, 5.0), ("orthogonal", 6, 0.0)])
+def test_no_garbage_in_silence_in_weak_geometry(model, n, relief):
+    X, uv, M, C = images(np.random.default_rng(12), 6000, n, relief=relief)
+    r = resect_many(CAMERA, X, uv, model=model, sigma_px=SIGMA)
+    ok = r.status == Status.OK
+    e = errors(r, M, C)[ok]
+    m2 = np.einsum("bi,bi->b", e, np.linalg.solve(r.covariance[ok], e[..., None])[..., 0])
+    assert ok.mean() > 0.5 and np.all(m2 < 100) and 0.935 < np.mean(m2 < 12.592) < 0.965
+    assert np.mean(r.status == Status.WEAK) < (0.1 if model == "perspective" else 0.35)
+
+
 def test_three_points_return_every_root():
     X, uv, M, C = images(np.random.default_rng(8), 60, 3, noise=0.0)
     r = resect_many(CAMERA, X, uv, sigma_px=SIGMA)

@@ -22,11 +22,12 @@ from solvers.geometry import (
     yaw_pitch_roll,
 )
 from solvers.geometry.gimbal import Mount
-from solvers.orientation.corners import corner_control, vertical_corners
+from solvers.orientation.bundle import adjust
+from solvers.orientation.corners import corner_control, corner_orientation, vertical_corners, with_corners
 from solvers.orientation.flightlog import match_log
 from solvers.orientation.footprint import footprint, footprints_geojson
 from solvers.orientation.georeference import Rig, Vertical, georeference, height_bias
-from solvers.orientation.grades import Flight, compare_control
+from solvers.orientation.grades import Flight, compare_control, compare_project
 from solvers.orientation.headings import check_headings
 from solvers.orientation.monoplot import Plane
 from solvers.orientation.oriented import Known, vector_covariance
@@ -353,3 +354,74 @@ def test_footprint_and_geojson() -> None:
     assert all(abs(lon) <= 180 for part in cut["coordinates"] for lon, _ in part[0])
     with pytest.raises(DegenerateGeometry, match="horizon"):
         footprint(block, georeference([photo(attitude=(0.0, -5.0, 0.0))], CRS)[0], Plane(400.0))
+
+
+def test_corners_give_back_the_orientation_they_came_from() -> None:
+    """Four weighted corners amount to the onboard orientation and its covariance; moved as their covariance says, the
+    orientation scatters as its own says."""
+    rng, block = np.random.default_rng(5), site(SEED_CAMERA, ("a",))
+    onboard = Known("a", SEED_EXTERIOR, SEED_EXTERIOR.angle_covariance(np.diag([1, 1, 2, 1e-4, 1e-4, 4e-4])))
+    control = corner_control(block, onboard, 0.0, 0.05, 0.05)
+    back = corner_orientation(block, control)
+    np.testing.assert_allclose(back.exterior.centre, SEED_EXTERIOR.centre, atol=1e-6)
+    assert back.covariance is not None and onboard.covariance is not None
+    np.testing.assert_allclose(back.covariance, onboard.covariance, rtol=0.05, atol=0.02 * np.abs(onboard.covariance).max())
+    control = corner_control(block, Known("a", SEED_EXTERIOR), 0.0, 0.3, 2.0)
+    root, chi = np.linalg.cholesky(control.covariance), []
+    for _ in range(150):
+        got = corner_orientation(block, replace(control, xyz=control.xyz + (root @ rng.standard_normal(12)).reshape(4, 3)))
+        assert got.covariance is not None
+        d = np.concatenate([got.exterior.centre - SEED_EXTERIOR.centre, got.exterior.angles - SEED_EXTERIOR.angles])
+        chi.append(d @ np.linalg.solve(got.covariance, d))
+    chi_square_band(np.array(chi), 6)
+
+
+def flown() -> tuple[Block, list[Known]]:
+    """Six images over 30 points, ten of them control, five check, and their onboard orientations with what errors they have."""
+    rng, interior = np.random.default_rng(3), CAMERA
+    at = [Exterior(rotation(*_two(np.radians(rng.normal(0, 3, 2))), np.pi * s), np.array([20.0 * k, 30.0 * s, 100]))
+          for s in range(2) for k in range(3)]
+    xyz = rng.uniform([-20, -20, -2], [60, 50, 2], (30, 3))
+    seen = [(i, j, p) for i, e in enumerate(at) for j, p in enumerate(project(interior, e, xyz))
+            if np.isfinite(p).all() and interior.inside(p)]
+    role = ("control",) * 10 + ("check",) * 5 + ("tie",) * 15
+    given = np.where(np.array(role)[:, None] == "tie", np.nan, xyz + np.array([0.02, 0.02, 0.03]) * rng.standard_normal((30, 3)))
+    pixel = np.array([p for *_, p in seen])
+    block = Block("flown", "local", {"cam": interior}, tuple(Image(f"i{k}", "cam") for k in range(6)),
+                  Points(tuple(f"P{j}" for j in range(30)), given, np.full((30, 3), 0.03), role),
+                  Observations(np.array([i for i, *_ in seen]), np.array([j for _, j, _ in seen]),
+                               pixel + 0.5 * rng.standard_normal(pixel.shape), np.full(len(seen), 0.5)))
+    sigma = np.array([2, 2, 3, *np.radians([1, 1, 2])])
+    onboard = []
+    for k, e in enumerate(at):
+        d = sigma * rng.standard_normal(6)
+        near = Exterior(exp(d[3:]) @ e.m, e.centre + d[:3])
+        onboard.append(Known(f"i{k}", near, near.angle_covariance(np.diag(sigma**2))))
+    return block, onboard
+
+
+def test_corners_are_control_for_a_bundle() -> None:
+    """Corners alone carry a block to the accuracy of the onboard positions, and their weight is honest."""
+    block, onboard = flown()
+    got = adjust(with_corners(block, [corner_control(block, o, 0.0, 2.0) for o in onboard]), datum="prior")
+    assert got.trace.converged and got.check_rms is not None and 0.05 < np.linalg.norm(got.check_rms) < 4
+    assert 0.6 < (got.groups["prior"][0] or 0.0) < 1.5
+    off = np.array([p.off for p in got.points if p.role == "check"])
+    predicted = np.sqrt(np.mean([np.trace(p.covariance) for p in got.points if p.role == "check"]))
+    assert 0.2 < np.sqrt((off**2).sum(axis=1).mean()) / predicted < 2.5
+    with pytest.raises(BadProject, match="twice"):
+        with_corners(block, [corner_control(block, onboard[0], 0.0, 2.0)] * 2)
+
+
+def test_comparison_in_a_project() -> None:
+    """At check points: the printed formula is worst, corners in a bundle better than single images, surveyed control best."""
+    block, onboard = flown()
+    rows, said = compare_project(block, onboard, 0.0, 2.0)
+    printed, direct, corners, coarse, surveyed = (r.rms_horizontal for r in rows)
+    assert surveyed < 0.2 < min(corners, coarse) and corners < direct and printed > corners
+    assert all(r.points == 5 for r in rows) and "5 check points" in said[0]
+    few = ("control",) * 5 + ("tie",) * 25
+    one_by_one, said = compare_project(replace(block, points=replace(block.points, role=few)), onboard, 0.0, 2.0)
+    assert "left out" in said[0] and one_by_one[4].rms_horizontal < 0.2 and one_by_one[4].points == 5
+    with pytest.raises(BadProject, match="3 points"):
+        compare_project(replace(block, points=replace(block.points, role=("tie",) * 30)), onboard, 0.0, 2.0)
