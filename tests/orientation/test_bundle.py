@@ -89,7 +89,7 @@ def test_a_block_far_away_is_the_same_block():
     block = replace(block, images=tuple(replace(i, prior=None) for i in block.images))
     there = replace(block, points=replace(block.points, xyz=block.points.xyz + far))
     a, b = adjust(block), adjust(there)
-    assert b.cost == pytest.approx(a.cost, rel=1e-8) and b.trace.iterations == a.trace.iterations
+    assert b.cost == pytest.approx(a.cost, rel=1e-8) and abs(b.trace.iterations - a.trace.iterations) <= 1  # round-off decides
     for p, q in zip(a.orientations, b.orientations, strict=True):
         np.testing.assert_allclose(q.exterior.centre - far, p.exterior.centre, atol=1e-5)
         np.testing.assert_allclose(q.covariance, p.covariance, rtol=1e-3, atol=1e-6 * np.abs(p.covariance).max())
