@@ -123,7 +123,7 @@ def _on_dask(function: Callable[[Item], Value], items: Iterable[Item], scheduler
         raise Unsupported(f"scheduler {scheduler}: it is not reached ({error}); start it with: dask scheduler") from None
     with client:
         numbered, index_of = enumerate(items), {}
-        done = dask.as_completed()
+        done = dask.as_completed(loop=client.loop)
         limit = 2 * max(sum(client.nthreads().values()), 1)
         while True:
             for index, item in itertools.islice(numbered, limit - len(index_of)):

@@ -114,13 +114,17 @@ class TileFolder:
 
     def keep(self, part: Part) -> None:
         """A finished tile, whole or not at all."""
-        payload = b"".join([*part.blocks, part.overview, zlib.compress(part.quarter.tobytes(), 1)])
-        head = {"blocks": [len(b) for b in part.blocks], "overview": len(part.overview), "bytes": len(payload),
-                "crc": zlib.crc32(payload), "note": part.note}
+        pieces = (*part.blocks, part.overview, part.quarter.tobytes())
+        crc = 0
+        for piece in pieces:
+            crc = zlib.crc32(piece, crc)
+        head = {"blocks": [len(b) for b in part.blocks], "overview": len(part.overview), "bytes": sum(map(len, pieces)),
+                "crc": crc, "note": part.note}
         handle, temporary = tempfile.mkstemp(dir=self.folder, prefix=".tile.")
         try:
             with os.fdopen(handle, "wb") as stream:
-                stream.write(json.dumps(head).encode() + b"\n" + payload)
+                stream.write(json.dumps(head).encode() + b"\n")
+                stream.writelines(pieces)
             os.replace(temporary, self._path(part.number))
         except BaseException:
             Path(temporary).unlink(missing_ok=True)
@@ -149,7 +153,7 @@ class TileFolder:
         if head is None:
             return np.zeros((BLOCK // 2, BLOCK // 2, 4), np.uint8)
         start = sum(head["blocks"]) + head["overview"]
-        raw = zlib.decompress(self.read(index, start, head["bytes"] - start))
+        raw = self.read(index, start, head["bytes"] - start)
         return np.frombuffer(raw, np.uint8).reshape(BLOCK // 2, BLOCK // 2, 4)
 
     def remove(self) -> None:

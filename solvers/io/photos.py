@@ -102,6 +102,18 @@ def read_photo(path: Path, grey: bool = True) -> np.ndarray:
     return np.round(pixels.mean(2)).astype(np.uint8) if grey else pixels
 
 
+def colours(path: Path) -> np.ndarray:
+    """`read_photo` in colours, by the quicker decoder where the photo is a plain JPEG: uint8 (h, w, 3)."""
+    import cv2
+
+    with opened(path) as photo:
+        plain, size = photo.format in ("JPEG", "MPO") and photo.mode in ("RGB", "L"), photo.size
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION) if plain else None
+    if image is None or image.shape[1::-1] != size:
+        return read_photo(path, grey=False)
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB, dst=image))
+
+
 def photo_rows(path: Path, rows: int = 256) -> Iterator[np.ndarray]:
     """A whole photo strip by strip, uint8 (<= rows, w, 3), for photos too large to be held."""
     with _raster(path) as data:

@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import BadProject
-from .photos import opened, photo_rows, read_photo
+from .photos import colours, opened, photo_rows
 
 WHOLE = 40_000_000
 """px up to which a photo is decoded in one piece; larger ones come in strips."""
 _LOCKS: dict[tuple[str, str], threading.Lock] = {}
-_GUARD = threading.Lock()
+_GUARD, _ONE = threading.Lock(), threading.Lock()
 
 
 @dataclass(frozen=True)
@@ -72,8 +72,9 @@ class PhotoStore:
         with opened(self.files[name]) as photo:
             shape = photo.size[1], photo.size[0], 3
         self._make_room(raw.parent, int(np.prod(shape)))
-        pieces = photo_rows(self.files[name]) if shape[0] * shape[1] > WHOLE else iter([read_photo(self.files[name], grey=False)])
-        _write(raw, pieces)
+        with _ONE:  # decoding takes the most memory: one photo at a time
+            large = shape[0] * shape[1] > WHOLE
+            _write(raw, photo_rows(self.files[name]) if large else iter([colours(self.files[name])]))
         _write(about, iter([np.frombuffer(json.dumps(shape).encode(), np.uint8)]))
         return shape
 

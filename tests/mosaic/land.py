@@ -26,10 +26,16 @@ def seen_from(photo: Placed, ground: Ground, surface: MosaicPlane | Surface | No
     return np.clip(np.round(colours), 0, 255).astype(np.uint8).reshape(i.height, i.width, 3)
 
 
+def at(photo: Placed) -> Exterior:
+    """Its exterior orientation."""
+    assert photo.exterior is not None
+    return photo.exterior
+
+
 def strip(n: int = 3, step: float = 35.0, tilt: float = 0.04) -> list[Placed]:
     """Photos along a strip, each a little tilted and turned."""
     rng = np.random.default_rng(4)
-    return [Placed(f"p{k}", CAMERA, Exterior.from_angles(*rng.uniform(-tilt, tilt, 2), 0.3 + rng.uniform(-0.1, 0.1),
+    return [Placed(f"p{k}", CAMERA, Exterior.from_angles(rng.uniform(-tilt, tilt), rng.uniform(-tilt, tilt), 0.3 + rng.uniform(-0.1, 0.1),
                                                          np.array([step * k, 5.0 * (k % 2), HEIGHT]))) for k in range(n)]
 
 

@@ -11,6 +11,7 @@ from solvers.mosaic.gain import solve_tones
 from solvers.mosaic.survey import survey_of
 
 from .land import CAMERA, FLAT, FRAME, Album, hills, land, offset, strip
+from .land import at as place
 
 
 def mosaic(photos, album, ground=FLAT, **options) -> tuple[np.ndarray, Grid]:
@@ -120,7 +121,7 @@ def test_exposure_and_vignetting_are_solved_jointly(photos):
 
 
 def test_a_canvas_beyond_sane_bounds_is_refused_at_once(photos):
-    lost = Placed("lost", CAMERA, Exterior(photos[0].exterior.m, np.array([4e5, 0.0, 100.0])))
+    lost = Placed("lost", CAMERA, Exterior(place(photos[0]).m, np.array([4e5, 0.0, 100.0])))
     with pytest.raises(Unsupported, match="'lost' reaches"):
         composition([*photos, lost], FLAT)
     with pytest.raises(Unsupported, match=r"--gsd of at least 0\.00"):

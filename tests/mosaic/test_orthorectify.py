@@ -10,6 +10,7 @@ from solvers.geometry import Grid, Surface
 from solvers.mosaic import Ground, MosaicPlane, Placed, fit_plane, orthorectify
 
 from .land import CAMERA, FLAT, FRAME, hills, land, offset, seen_from, strip
+from .land import at as place
 
 COL, ROW = np.meshgrid(np.arange(400, dtype=np.float32), np.arange(300, dtype=np.float32))
 
@@ -22,9 +23,9 @@ def centres(grid: Grid) -> np.ndarray:
 @pytest.mark.parametrize("surface", [MosaicPlane(0.0), MosaicPlane(1.0, 0.05, -0.08), hills()], ids=["level", "tilted", "hills"])
 def test_a_pixel_shows_the_photo_pixel_that_its_place_is_projected_to(surface):
     photo = strip(1)[0]
-    values, seen, grid = orthorectify(np.dstack([COL, ROW]), CAMERA, photo.exterior, surface, gsd=0.4, frame=FRAME)
+    values, seen, grid = orthorectify(np.dstack([COL, ROW]), CAMERA, place(photo), surface, gsd=0.4, frame=FRAME)
     local = Ground(FRAME, surface).local(centres(grid))
-    pixels = project(CAMERA, photo.exterior, local)
+    pixels = project(CAMERA, place(photo), local)
     inner = CAMERA.inside(pixels, -1.0)
     assert seen[inner].all() and inner.mean() > 0.5
     assert np.abs(values - pixels)[inner].max() < 0.02
@@ -35,7 +36,7 @@ def test_the_land_lies_where_its_coordinates_say():
     photo = strip(1)[0]
     for surface in (MosaicPlane(0.0), hills()):
         ground = Ground(FRAME, surface)
-        values, seen, grid = orthorectify(seen_from(photo, ground), CAMERA, photo.exterior, surface, frame=FRAME)
+        values, seen, grid = orthorectify(seen_from(photo, ground), CAMERA, place(photo), surface, frame=FRAME)
         assert grid.affine[0] == pytest.approx(0.25, rel=0.05)
         assert np.abs(offset(values, centres(grid), seen, grid.affine[0])).max() < 0.02
 
@@ -83,7 +84,7 @@ def test_a_photo_placed_by_plane_coefficients_is_the_same():
     from solvers.mosaic.registration import plane_warp
 
     photo = strip(1)[0]
-    warped = Placed("p0", CAMERA, warp=plane_warp(CAMERA, photo.exterior, np.zeros(3)))
+    warped = Placed("p0", CAMERA, warp=plane_warp(CAMERA, place(photo), np.zeros(3)))
     at = np.random.default_rng(3).uniform(-30, 30, (50, 3)) * [1, 1, 0]
     assert np.allclose(warped.pixels(at), photo.pixels(at), atol=1e-7)
     assert np.allclose(warped.outline(FLAT)[0], photo.outline(FLAT)[0], atol=1e-5)

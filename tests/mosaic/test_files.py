@@ -1,0 +1,190 @@
+"""Mosaics as files: read by GDAL, right to the pixel, resumed after a kill, whole or not there; threads and clusters alike."""
+
+import errno
+import importlib.util
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from solvers import workflows_compose
+from solvers.errors import BadProject, Unsupported
+from solvers.geometry import LocalFrame
+from solvers.io import TileFolder, write_image
+from solvers.mosaic import Registration
+from solvers.workflows_compose import ComposeRequest, compose_photos
+
+from .land import CAMERA, FLAT, FRAME, Album, offset, strip
+
+PHOTOS = strip(3)
+
+
+def registration(frame: LocalFrame = FRAME) -> Registration:
+    from solvers.adjustment import Trace
+
+    return Registration("exterior", "controlled", "simultaneous", tuple(p.name for p in PHOTOS), (CAMERA,) * 3, None,
+                        tuple(p.exterior for p in PHOTOS if p.exterior is not None), np.zeros(3), frame, "m",
+                        np.zeros((3, 6, 6)), np.zeros(3), 0.1, Trace((), {}))
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory) -> dict[str, Path]:
+    folder, album = tmp_path_factory.mktemp("photos"), Album(PHOTOS, FLAT)
+    for name, picture in album.pictures.items():
+        write_image(folder / f"{name}.png", picture)
+    return {name: folder / f"{name}.png" for name in album.pictures}
+
+
+FINE = ComposeRequest(gsd=0.06)  # 3 x 2 tiles and more
+
+
+def made(out: Path, files: dict[str, Path], request: ComposeRequest = FINE) -> dict:
+    return compose_photos(registration(), files, out, request)
+
+
+@pytest.fixture(scope="module")
+def whole(files, tmp_path_factory) -> tuple[Path, dict]:
+    out = tmp_path_factory.mktemp("whole") / "m.tif"
+    return out, made(out, files)
+
+
+def test_gdal_reads_it_and_a_pixel_is_where_its_coordinates_say(whole):
+    import rasterio
+
+    out, said = whole
+    with rasterio.open(out) as data:
+        assert (data.width, data.height, data.count) == (said["width"], said["height"], 4)
+        assert tuple(data.bounds) == pytest.approx(said["bounds"]) and data.transform.a == said["gsd"] == 0.06
+        assert data.colorinterp[3].name == "alpha" and data.overviews(1)[:2] == [2, 4]
+        assert data.block_shapes[0] == (512, 512) and data.crs is None
+        rgba = np.moveaxis(data.read(), 0, -1)
+        col, row = np.meshgrid(np.arange(0, data.width, 7), np.arange(0, data.height, 7))
+        x, y = data.xy(row.ravel(), col.ravel())  # GDAL's own idea of the pixel centres
+        at = np.stack([np.reshape(x, col.shape), np.reshape(y, col.shape)], -1)
+    with rasterio.open(out, overview_level=0) as data:
+        small = np.moveaxis(data.read(), 0, -1)[:rgba.shape[0] // 2, :rgba.shape[1] // 2]
+    values = rgba[::7, ::7]
+    seen = values[..., 3] == 255
+    assert np.abs(offset(values[..., :3].astype(float), at, seen, 0.06)).max() < 0.1
+    assert (rgba[rgba[..., 3] == 0] == 0).all()
+    h, w = small.shape[:2]
+    four = rgba[:2 * h, :2 * w].reshape(h, 2, w, 2, 4).astype(float)
+    inner = (four[..., 3] == 255).all(axis=(1, 3))
+    assert np.abs(four.mean(axis=(1, 3)) - small)[inner].max() <= 0.51  # the overview is the mean of four
+
+
+def test_crs_world_file_and_outlines(files, tmp_path):
+    import rasterio
+
+    frame = LocalFrame(FRAME.origin, "EPSG:32632")
+    out = tmp_path / "utm.tif"
+    said = compose_photos(registration(frame), files, out, ComposeRequest(blend="multiband", seams=True, gain=True))
+    with rasterio.open(out) as data:
+        assert data.crs.to_epsg() == 32632 and data.tags()["AREA_OR_POINT"] == "Area"
+        world = [float(line) for line in (tmp_path / "utm.tfw").read_text().split()]
+        assert world == pytest.approx([data.transform.a, 0, 0, data.transform.e, *data.xy(0, 0)])
+    for kind in ("footprints", "seams"):
+        areas = json.loads((tmp_path / f"utm.{kind}.geojson").read_text())["features"]
+        assert {a["properties"]["image"] for a in areas} == {"p0", "p1", "p2"}
+        lon, lat = np.array(areas[0]["geometry"]["coordinates"][0]).T
+        assert np.allclose(lon, 9.0, atol=0.01) and np.allclose(lat, 46.95, atol=0.05)
+    assert said["gain"]["rms_after"] <= said["gain"]["rms_before"]
+
+
+@pytest.mark.parametrize("name", ["m.png", "m.jpg"])
+def test_pictures_tell_their_scale(files, tmp_path, name):
+    from PIL import Image
+
+    said = made(tmp_path / name, files, ComposeRequest(gsd=0.25))
+    with Image.open(tmp_path / name) as picture:
+        assert picture.size == (said["width"], said["height"])
+        told = picture.info.get("Description") or picture.info["comment"].decode()
+        assert told == "1 px = 0.25 m"
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted([name, "m.footprints.geojson", f"m.{name[2]}gw"])
+
+
+def test_an_interrupted_work_repeats_no_finished_tile(files, whole, tmp_path, monkeypatch):
+    out, total = tmp_path / "m.tif", whole[1]["tiles"]
+    real, count = workflows_compose.make_tile, []
+
+    def killed(job, store, compression):
+        if len(count) == 3:
+            raise KeyboardInterrupt
+        count.append(job.index)
+        return real(job, store, compression)
+
+    monkeypatch.setattr(workflows_compose, "make_tile", killed)
+    with pytest.raises(KeyboardInterrupt):
+        made(out, files)
+    assert not out.exists() and len(list(tmp_path.glob(".m.tif.parts/*.tile"))) == 3
+    spoiled = max(tmp_path.glob(".m.tif.parts/*.tile"))
+    spoiled.write_bytes(spoiled.read_bytes()[:-1])  # half-written by a dying machine: done again
+    again = []
+    monkeypatch.setattr(workflows_compose, "make_tile", lambda job, store, compression: (
+        again.append(job.index), real(job, store, compression))[1])
+    said = made(out, files)
+    assert said["tiles_kept"] == 2 and len(again) == total - 2 and not set(again) & (set(count) - {int(spoiled.stem)})
+    assert out.read_bytes() == whole[0].read_bytes()
+    assert not (tmp_path / ".m.tif.parts").exists()
+
+
+def test_other_photos_or_options_begin_anew(files, tmp_path):
+    folder = TileFolder(tmp_path / "x.tif", "one plan")
+    folder.open()
+    (folder.folder / "0000001.tile").write_bytes(b"{}")
+    assert TileFolder(tmp_path / "x.tif", "another").open() == frozenset()
+    assert not (folder.folder / "0000001.tile").exists()
+
+
+def test_a_full_disk_is_named_and_nothing_half_written_stays(files, tmp_path, monkeypatch):
+    real, kept = TileFolder.keep, []
+
+    def keep(self, part):
+        if len(kept) == 2:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        kept.append(part.number)
+        real(self, part)
+
+    monkeypatch.setattr(TileFolder, "keep", keep)
+    with pytest.raises(Unsupported, match=r"m\.tif: the disk is full .* 2 of \d+ tiles are kept"):
+        made(tmp_path / "m.tif", files)
+    assert [p.name for p in tmp_path.iterdir()] == [".m.tif.parts"]
+    monkeypatch.undo()
+    assert made(tmp_path / "m.tif", files)["tiles_kept"] == 2
+
+
+def test_threads_give_the_same_file(files, whole, tmp_path):
+    made(tmp_path / "m.tif", files, ComposeRequest(gsd=0.06, workers=3))
+    assert (tmp_path / "m.tif").read_bytes() == whole[0].read_bytes()
+
+
+def test_bad_outputs_are_named(files, tmp_path):
+    with pytest.raises(Unsupported, match=r"\.tif, \.png or \.jpg"):
+        made(tmp_path / "m.gif", files)
+    with pytest.raises(BadProject, match="no such folder"):
+        made(tmp_path / "none" / "m.tif", files)
+    with pytest.raises(BadProject, match="no such height grid"):
+        made(tmp_path / "m.tif", files, ComposeRequest(surface=str(tmp_path / "dem.tif")))
+
+
+@pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="dask.distributed is not installed")
+def test_on_a_cluster_with_a_worker_killed_it_is_the_same_file(files, whole, tmp_path):
+    import os
+    import signal
+    from typing import Any
+
+    from distributed import LocalCluster
+
+    out = tmp_path / "m.tif"
+    local: Any = LocalCluster
+    with local(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
+        killed = []
+
+        def report(at):
+            if not killed:
+                killed.append(next(iter(cluster.workers.values())).pid)
+                os.kill(killed[0], signal.SIGKILL)
+
+        compose_photos(registration(), files, out, ComposeRequest(gsd=0.06, scheduler=cluster.scheduler_address), report)
+    assert killed and out.read_bytes() == whole[0].read_bytes()
