@@ -102,7 +102,7 @@ def _fill(shots: Sequence[Shot], acc: np.ndarray, total: np.ndarray, window: Win
 
 
 def _any(nodes: np.ndarray) -> np.ndarray:
-    return np.asarray(np.logical_or.reduce([nodes[:-1, :-1], nodes[:-1, 1:], nodes[1:, :-1], nodes[1:, 1:]]))
+    return np.stack([nodes[:-1, :-1], nodes[:-1, 1:], nodes[1:, :-1], nodes[1:, 1:]]).any(axis=0)
 
 
 def _cells_with(mask: np.ndarray, lattice: Lattice) -> np.ndarray:

@@ -35,8 +35,12 @@ def at(photo: Placed) -> Exterior:
 def strip(n: int = 3, step: float = 35.0, tilt: float = 0.04) -> list[Placed]:
     """Photos along a strip, each a little tilted and turned."""
     rng = np.random.default_rng(4)
-    return [Placed(f"p{k}", CAMERA, Exterior.from_angles(rng.uniform(-tilt, tilt), rng.uniform(-tilt, tilt), 0.3 + rng.uniform(-0.1, 0.1),
-                                                         np.array([step * k, 5.0 * (k % 2), HEIGHT]))) for k in range(n)]
+    photos = []
+    for k in range(n):
+        omega, phi, kappa = rng.uniform([-tilt, -tilt, 0.2], [tilt, tilt, 0.4])
+        centre = np.array([step * k, 5.0 * (k % 2), HEIGHT])
+        photos.append(Placed(f"p{k}", CAMERA, Exterior.from_angles(float(omega), float(phi), float(kappa), centre)))
+    return photos
 
 
 FRAME = LocalFrame(np.array([500000.0, 5200000.0, 50.0]))
