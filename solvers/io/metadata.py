@@ -81,13 +81,11 @@ def _xmp(path: Path) -> tuple[dict[str, float], str]:
     from defusedxml import DefusedXmlException
     from defusedxml.ElementTree import ParseError, fromstring
 
-    with opened(path) as photo:
-        packet = photo.info.get("xmp") or photo.info.get("XML:com.adobe.xmp") or dict(photo.getexif()).get(700)
-    if not packet:
+    packet = _packet(path)
+    if packet is None:
         return {}, ""
     try:
-        data = packet if isinstance(packet, bytes) else str(packet).encode()
-        root = fromstring(data[data.find(b"<"):].strip(b"\0 \r\n\t"))
+        root = fromstring(packet)
     except (ParseError, DefusedXmlException, ValueError):
         return {}, "its XMP is damaged and was not used"
     found: dict[str, float] = {}
@@ -98,6 +96,16 @@ def _xmp(path: Path) -> tuple[dict[str, float], str]:
         if prefix and number is not None:
             found[f"{prefix}:{tag}"] = number
     return found, ""
+
+
+def _packet(path: Path) -> bytes | None:
+    """The XMP of a photo."""
+    with opened(path) as photo:
+        packet = photo.info.get("xmp") or photo.info.get("XML:com.adobe.xmp") or dict(photo.getexif()).get(700)
+    if not packet:
+        return None
+    data = packet if isinstance(packet, bytes) else str(packet).encode()
+    return data[data.find(b"<"):].strip(b"\0 \r\n\t")
 
 
 def _entries(root: Any) -> Iterable[tuple[str, str]]:
@@ -165,3 +173,19 @@ def _attitude_sigma(tags: Mapping[str, float]) -> tuple[tuple[float, float, floa
         return None, ""
     tilt = max(values[0], values[1])  # type: ignore[type-var]
     return (tilt, tilt, values[2]), "attitude sigma: IMU...Accuracy"  # type: ignore[return-value]
+
+
+def dewarp_data(path: Path | str) -> tuple[str | None, int | None]:
+    """DJI's DewarpData and DewarpFlag of a photo as they stand in its XMP, None each where absent."""
+    from defusedxml import DefusedXmlException
+    from defusedxml.ElementTree import ParseError, fromstring
+
+    packet = _packet(Path(path))
+    if packet is None:
+        return None, None
+    try:
+        entries = {name.partition("}")[2]: text for name, text in _entries(fromstring(packet))}
+    except (ParseError, DefusedXmlException, ValueError):
+        return None, None
+    flag = entries.get("DewarpFlag", "").strip()
+    return entries.get("DewarpData"), int(flag) if flag.isdigit() else None
