@@ -29,9 +29,20 @@ def add_command(commands: Any, name: str, run: Callable[[argparse.Namespace], in
 
 def orientation_source(command: Parser) -> None:
     """Where the orientations come from: --from."""
-    command.add_argument("--from", dest="source", choices=("auto", "resect", "georeference"), default="auto",
+    command.add_argument("--from", dest="source", choices=("auto", "resect", "georeference", "adjust", "prior"), default="auto",
                          help="orientations: of the latest resect run, else resected now (auto); resected now; of the latest "
-                              "georeference run")
+                              "georeference or adjust run; the priors of project.toml as they are")
+
+
+def coordinate_options(command: Parser) -> None:
+    """How coordinates and angles of a file are meant, where it does not say."""
+    command.add_argument("--swap-xy", action="store_true", help="its first coordinate is north, its second east")
+    command.add_argument("--unit", choices=("m", "ft", "us-ft"), help="unit of its x and y: metres, international or US survey "
+                                                                      "feet")
+    command.add_argument("--height-unit", choices=("m", "ft", "us-ft"), help="unit of its heights")
+    command.add_argument("--angles", choices=("opk", "pok", "pok-left"),
+                         help="order of its angles: omega phi kappa, phi omega kappa, or that with phi counted the other way")
+    command.add_argument("--angle-unit", choices=("deg", "gon", "rad"), help="unit of its angles")
 
 
 def emit(args: argparse.Namespace, value: Any, text: str) -> int:

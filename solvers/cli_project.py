@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from .cli_parts import PROG, Parser, add_command, count, emit, positive
+from .cli_parts import PROG, Parser, add_command, coordinate_options, count, emit, number_or_text, positive
 
 SIMULATIONS = ("uav_cluster", "ono_stereo", "ono_triplet", "field_long_range", "uav_block", "calibration_plate")
 
@@ -19,11 +19,18 @@ def add(commands: Any) -> None:
     _viewer_options(demo)
 
     init = add_command(commands, "init", _init, "make a project from photos and a list of control points")
-    init.add_argument("files", nargs="+", metavar="FILE", help="photos (or folders of photos) and one GCPS.csv or gcp_list.txt")
+    init.add_argument("files", nargs="+", metavar="FILE",
+                      help="photos (or folders of photos), and a list of control points, a calibration, orientations or "
+                           "positions in any "
+                           "format that convert reads")
     init.add_argument("-o", "--output", required=True, metavar="PROJECT", help="folder of the new project")
     init.add_argument("--map", metavar="MAP",
                       help="columns of the list by name or number: name=ID,X=East,Y=North,Z=H[,image=..,col=..,row=..]")
-    init.add_argument("--crs", help="coordinate system of the project: EPSG:CODE or local")
+    init.add_argument("--crs", help="coordinate system of the project: EPSG code or compound code, WKT, a .prj file, or local")
+    init.add_argument("--control-crs", metavar="CRS", help="coordinate system of the list, over what it says itself")
+    coordinate_options(init)
+    init.add_argument("--undulation", type=number_or_text, metavar="M",
+                      help="height of the geoid above the ellipsoid: metres, the file of a geoid grid, or auto")
     init.add_argument("--pixel-origin", choices=("center", "corner"),
                       help="what pixel (0, 0) of the list is, of the top-left pixel")
     init.add_argument("--pixel-um", type=positive, metavar="P", help="pixel size in micrometres, where EXIF does not tell it")
@@ -79,9 +86,11 @@ def _open_viewer(args: argparse.Namespace, folder: Path) -> int:
 def _init(args: argparse.Namespace) -> int:
     from .workflows import init_project
 
-    ask = _ask if sys.stdin.isatty() and sys.stderr.isatty() else None
-    made = init_project(args.files, args.output, mapping=args.map, project_crs=args.crs, pixel_origin=args.pixel_origin,
-                        pixel_um=args.pixel_um, c_mm=args.c_mm, ask=ask)
+    ask = ask_at_terminal()
+    made = init_project(args.files, args.output, mapping=args.map, project_crs=args.crs, control_crs=args.control_crs,
+                        swap_xy=args.swap_xy, unit=args.unit, height_unit=args.height_unit, pixel_origin=args.pixel_origin,
+                        pixel_um=args.pixel_um, c_mm=args.c_mm, undulation=args.undulation, angles=args.angles,
+                        angle_unit=args.angle_unit, ask=ask)
     block = made.block
     text = "\n".join([*made.notes, f"{made.folder}: {len(block.images)} images, {len(block.points)} points, "
                                    f"{len(block.observations)} observations in {block.crs}",
@@ -131,6 +140,11 @@ def _viewer_options(command: Parser) -> None:
     command.add_argument("--port", type=int, default=0, help="port to listen on (default: a free one)")
     command.add_argument("--no-browser", action="store_true", help="only print the address")
     command.add_argument("--token", help="a word that visitors must know (default: a new one)")
+
+
+def ask_at_terminal() -> Any:
+    """How to ask the person at the terminal, None where there is none."""
+    return _ask if sys.stdin.isatty() and sys.stderr.isatty() else None
 
 
 def _ask(question: str) -> str:

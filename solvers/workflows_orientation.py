@@ -13,7 +13,7 @@ import numpy as np
 
 from .block import Block
 from .errors import BadProject, PhotogrammetryError
-from .geometry import Exterior
+from .geometry import Exterior, rotation
 from .io import (
     latest_run,
     new_run,
@@ -26,8 +26,9 @@ from .io import (
 from .orientation import Intersected, Known, Monoplotted, Plane, Request, intersect, monoplot, orient
 from .orientation.monoplot import Ground
 
-SOURCES = ("auto", "resect", "georeference")
-"""Where orientations come from: auto is the latest resect run, and images it lacks are resected."""
+SOURCES = ("auto", "resect", "georeference", "adjust", "prior")
+"""Where orientations come from: auto is the latest resect run, and images it lacks are resected; prior takes the priors of
+project.toml as they are (an orientation imported from another tool)."""
 INPUTS = ("project.toml", "points.csv", "observations.csv")
 
 
@@ -123,12 +124,17 @@ def orientations_of(folder: Path, images: Sequence[str] = (), source: str = "aut
     """Perspective orientations of a project's images; images: names that must be there, empty for all that can be had.
 
     auto: of the latest resect run while the project is not newer than it, the missing ones computed now. resect: all computed
-    now. georeference: of the latest georeference run. Raises BadProject, and what the resection of a wanted image raises.
+    now. georeference, adjust: of the latest such run. prior: the priors of project.toml as they are. Raises BadProject, and what
+    the resection of a wanted image raises.
     """
     block = read_project(folder)
     wanted = tuple(block.images[block.image_index(n)].name for n in images)
     if source == "georeference":
         return _georeferenced(folder, block, wanted)
+    if source == "adjust":
+        return _adjusted(folder, block, wanted)
+    if source == "prior":
+        return _priors(folder, block, wanted)
     found = _of_run(folder, block, wanted) if source == "auto" else Found(block, (), ())
     missing = [n for n in wanted or _observed(block) if n not in {k.image for k in found.known}]
     fresh, failed, warned = [], [], []
@@ -155,7 +161,7 @@ def _of_run(folder: Path, block: Block, wanted: tuple[str, ...]) -> Found:
     run = latest_run(folder, "result.json", "resect")
     if run is None:
         return Found(block, (), ())
-    if any((folder / f).stat().st_mtime > (run / "result.json").stat().st_mtime for f in INPUTS if (folder / f).exists()):
+    if _outdated(folder, run):
         return Found(block, (), (f"the run {run.name} is older than the project's files and was not used",))
     known: list[Known] = []
     warned: list[str] = []
@@ -180,12 +186,97 @@ def _georeferenced(folder: Path, block: Block, wanted: tuple[str, ...]) -> Found
     return Found(block, chosen, (f"orientations: {_listed([k.image for k in chosen])} of the run {run.name}",))
 
 
-def _orientations(path: Path) -> list[dict[str, Any]]:
+def known_orientations(folder: Path, source: str = "auto") -> Found:
+    """What a project knows of its orientations without computing any; auto: of the latest adjust, calibrate or resect run that
+    is not older than the project's files, else the priors that have angles, else none. Raises BadProject."""
+    if source != "auto":
+        return orientations_of(folder, (), source)
+    block = read_project(folder)
+    runs = {c: latest_run(folder, "result.json", c) for c in ("adjust", "calibrate", "resect")}
+    there = {c: r for c, r in runs.items() if r is not None and not _outdated(folder, r)}
+    last = max(there, key=lambda c: there[c].name, default=None)  # names begin with the time
+    if last == "resect":
+        return _of_run(folder, block, ())
+    if last is not None:
+        return _adjusted(folder, block, ())
+    whole = any(i.prior is not None and i.prior.angles is not None for i in block.images)
+    return _priors(folder, block, ()) if whole else Found(block, (), ())
+
+
+def adjusted_points(folder: Path) -> dict[str, np.ndarray]:
+    """Coordinates of the tie points of the latest adjust or calibrate run, by name; none without such a run."""
+    run = _latest_adjust(folder)
+    if run is None or _outdated(folder, run):
+        return {}
+    points = _result(run / "result.json").get("points") or []
+    return {p["name"]: np.array([p["X"], p["Y"], p["Z"]], float) for p in points if p["role"] == "tie"}
+
+
+def _outdated(folder: Path, run: Path) -> bool:
+    """Whether the project's files are newer than a run."""
+    done = (run / "result.json").stat().st_mtime
+    return any((folder / f).stat().st_mtime > done for f in INPUTS if (folder / f).exists())
+
+
+def _latest_adjust(folder: Path) -> Path | None:
+    runs = [r for c in ("adjust", "calibrate") if (r := latest_run(folder, "result.json", c)) is not None]
+    return max(runs, key=lambda r: r.name, default=None)
+
+
+def _adjusted(folder: Path, block: Block, wanted: tuple[str, ...]) -> Found:
+    """Orientations and interior orientations of the latest adjust or calibrate run."""
+    run = _latest_adjust(folder)
+    if run is None:
+        raise BadProject(f"{folder}: there is no adjust run; make one with: collinea adjust {folder}")
+    result = _result(run / "result.json")
+    known = {o["image"]: _known(o) for o in result["orientations"]}
+    for name in wanted:
+        if name not in known:
+            raise BadProject(f"{run}: it does not hold image '{name}'; run collinea adjust again")
+    cameras = dict(block.cameras)
+    for name, values in result.get("interior", {}).items():
+        if name in cameras:
+            cameras[name] = replace(cameras[name], **{k.removesuffix("_mm"): float(v) for k, v in values.items() if k != "sigma"})
+    chosen = tuple(known[n] for n in wanted or known if n in {i.name for i in block.images})
+    said = f"orientations: {_listed([k.image for k in chosen])} of the run {run.name}"
+    old = ("the run is older than the project's files",) if _outdated(folder, run) else ()
+    return Found(replace(block, cameras=cameras), chosen, (said, *old))
+
+
+def _priors(folder: Path, block: Block, wanted: tuple[str, ...]) -> Found:
+    """The priors that have position and angles, taken as they are; with their sigmas as covariance where they state all six."""
+    known: list[Known] = []
+    for image in block.images:
+        p = image.prior
+        if p is None or p.centre is None or p.angles is None:
+            if image.name in wanted:
+                raise BadProject(f"{folder}: image '{image.name}' has no prior with position and angles; run collinea "
+                                 f"georeference "
+                                 "--write-priors, or convert orientations of another tool")
+            continue
+        sigma = None if p.sigma_m is None or p.sigma_rad is None else np.diag(np.concatenate([p.sigma_m, p.sigma_rad]) ** 2)
+        if not wanted or image.name in wanted:
+            known.append(Known(image.name, Exterior(rotation(*p.angles), p.centre), sigma))
+    if not known:
+        raise BadProject(f"{folder}: no image has a prior with position and angles; convert orientations of another tool, or run "
+                         f"collinea "
+                         "georeference --write-priors")
+    free = sum(k.covariance is None for k in known)
+    doubt = f" ({free} without sigmas are taken as free of error)" if free else ""
+    return Found(block, tuple(known), (f"orientations: {_listed([k.image for k in known])}, the priors of project.toml{doubt}",))
+
+
+def _result(path: Path) -> dict[str, Any]:
     try:
-        return list(json.loads(path.read_text(encoding="utf-8"))["orientations"])
+        value = json.loads(path.read_text(encoding="utf-8"))
+        return value if isinstance(value["orientations"], list) else {}["orientations"]
     except (ValueError, KeyError, TypeError) as error:
         raise BadProject(f"{path}: it is damaged ({type(error).__name__}: {error}); delete this run and compute it "
                          "again") from None
+
+
+def _orientations(path: Path) -> list[dict[str, Any]]:
+    return list(_result(path)["orientations"])
 
 
 def _known(o: dict[str, Any]) -> Known:

@@ -21,13 +21,16 @@ GPS_SIGMA_M = (5.0, 5.0, 10.0)
 """Stated standard errors of a position in EXIF: navigation GPS."""
 
 
-def sort_files(files: Sequence[Path]) -> tuple[tuple[Path, ...], Path | None]:
-    """Photos (a folder stands for its photos) and the one table among files. Raises BadProject."""
+def sort_files(files: Sequence[Path]) -> tuple[tuple[Path, ...], tuple[Path, ...]]:
+    """Photos (a folder stands for its photos) and the other files: tables, and models of other tools. Raises BadProject."""
     photos: list[Path] = []
     tables: list[Path] = []
     for file in files:
         if file.is_dir():
             inside = sorted(f for f in file.iterdir() if f.suffix.lower() in EXTENSIONS)
+            if not inside and _is_model(file):
+                tables.append(file)
+                continue
             if not inside:
                 raise BadProject(f"{file}: there are no photos ({', '.join(EXTENSIONS)}) in it; name the photos themselves")
             photos += inside
@@ -35,14 +38,18 @@ def sort_files(files: Sequence[Path]) -> tuple[tuple[Path, ...], Path | None]:
             raise BadProject(f"{file}: there is no such file; correct the path")
         else:
             (photos if file.suffix.lower() in EXTENSIONS else tables).append(file)
-    if len(tables) > 1:
-        raise BadProject(f"{tables[1]}: this is a second table beside {tables[0]}; give one list of control points")
     if not photos:
         raise BadProject("there is no photo among the files; name at least one photo, or a folder of photos")
     twice = [p for p, n in Counter(p.resolve() for p in photos).items() if n > 1]
     if twice:
         raise BadProject(f"{twice[0]}: this photo is named twice; name it once")
-    return tuple(photos), tables[0] if tables else None
+    return tuple(photos), tuple(tables)
+
+
+def _is_model(folder: Path) -> bool:
+    """Whether a folder without photos is a model of another tool (COLMAP, OPF, MicMac)."""
+    names = {f.name for f in folder.iterdir()}
+    return bool(names & {"cameras.txt", "cameras.bin"}) or any(n.endswith(".opf") or n.startswith("Orientation-") for n in names)
 
 
 def image_names(photos: Sequence[Path]) -> tuple[str, ...]:

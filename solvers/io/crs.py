@@ -31,6 +31,11 @@ class Described:
     height_unit: float | None
 
     @property
+    def units(self) -> str:
+        """Its unit of length in the plural, with its size."""
+        return f"{self.unit_name.replace('foot', 'feet').replace('metre', 'metres')} ({self.unit:.10g} m)"
+
+    @property
     def metric(self) -> bool:
         """Whether x and y are metres."""
         return not self.geographic and abs(self.unit - 1) < 1e-12
@@ -51,9 +56,7 @@ def short_crs(text: str, metric: bool = True) -> str:
         return text
     told = described(text)
     if metric and not told.geographic and not told.metric:
-        raise BadProject(f"crs '{_brief(text)}' is not in metres but in {told.unit_name}s of {told.unit:.10g} m, and it is not known in "
-                         "what its heights are; say that with --height-unit m, ft (international) or us-ft (survey), and the "
-                         "control is converted to metres")
+        raise BadProject(f"crs '{_brief(text)}' is not in metres but in {told.units}; give a crs in metres")
     return told.text
 
 

@@ -19,8 +19,8 @@ from ...errors import BadTable, PhotogrammetryError, Unsupported
 from ...geometry import Exterior
 from ..crs import short_crs, utm_zone
 from ..files import write_text
+from ..geocentric import from_geocentric
 from .conventions import AngleOrder, AngleUnit, CameraAxes, Position, RotationDirection, exterior_as, exterior_from, rotation_from
-from .geocentric import from_geocentric
 from .options import NOTHING, Reading
 from .scene import Camera, Exchange, Shot, label_of, named, observations_from, points_from
 from .structure import Xml, read_xml
@@ -64,7 +64,8 @@ def read(path: Path, options: Reading = NOTHING) -> Exchange:
     controls = block.all("ControlPoints", "ControlPoint")
     for n, point in enumerate([*controls, *ties]):
         tie = n >= len(controls)
-        names.append(f"tie{n - len(controls) + 1}" if tie else point.get("Name").text() if point.maybe("Name") is not None else f"cp{n + 1}")
+        names.append(f"tie{n - len(controls) + 1}" if tie else point.get("Name").text() if point.maybe("Name") is not None
+                     else f"cp{n + 1}")
         place = point.maybe("Position")
         at3 = np.full(3, np.nan) if place is None else np.array([place.number(k) for k in "xyz"])
         if where == GEOCENTRIC and crs is not None and np.isfinite(at3).all():
@@ -73,7 +74,8 @@ def read(path: Path, options: Reading = NOTHING) -> Exchange:
         h, v = point.number("HorizontalAccuracy", default=np.nan), point.number("VerticalAccuracy", default=np.nan)
         sigma.append([h, h, v])
         check = point.maybe("CheckPoint")
-        role.append("tie" if tie or place is None else "check" if check is not None and check.text().lower() == "true" else "control")
+        role.append("tie" if tie or place is None else "check" if check is not None and check.text().lower() == "true"
+                    else "control")
         for m in point.all("Measurement"):
             photo = m.get("PhotoId").text()
             if photo not in number:
@@ -115,7 +117,8 @@ def _zone(photos: list[tuple[Xml, str, np.ndarray]]) -> str:
 def _camera(group: Xml) -> Camera:
     model = group.maybe("CameraModelType")
     if model is not None and model.text() != "Perspective":
-        raise Unsupported(f"{group.path}: <{group.where}> is a {model.text()} camera; only perspective cameras are read, undistort the "
+        raise Unsupported(f"{group.path}: <{group.where}> is a {model.text()} camera; only perspective cameras are read, "
+                          f"undistort the "
                           "photos first")
     width, height = group.get("ImageDimensions").integer("Width"), group.get("ImageDimensions").integer("Height")
     pitch = None
@@ -132,7 +135,8 @@ def _camera(group: Xml) -> Camera:
     d = group.maybe("Distortion")
     k1, k2, k3, p1, p2 = (d.number(k, default=0.0) if d is not None else 0.0 for k in ("K1", "K2", "K3", "P1", "P2"))
     try:
-        return Brown(f, f * group.number("AspectRatio", default=1.0), cx, cy, group.number("Skew", default=0.0), k1, k2, k3, p1=p2,
+        return Brown(f, f * group.number("AspectRatio", default=1.0), cx, cy, group.number("Skew", default=0.0), k1, k2, k3,
+                     p1=p2,
                      p2=p1, width=width, height=height, pixel_mm=(pitch, pitch) if pitch else None)
     except PhotogrammetryError as error:
         raise group.error(str(error)) from None
@@ -220,7 +224,8 @@ def _photo(n: int, shot: Shot) -> list[str]:
         r, c = exterior_as(shot.exterior, *CONVENTION)
         turned = "".join(f"<M_{i}{j}>{_n(r[i, j])}</M_{i}{j}>" for i in range(3) for j in range(3)) if shot.oriented else ""
         out.append(f"<Pose>{f'<Rotation>{turned}<Accurate>true</Accurate></Rotation>' if turned else ''}<Center>"
-                   + "".join(f"<{k}>{_n(v)}</{k}>" for k, v in zip("xyz", c, strict=True)) + "<Accurate>true</Accurate></Center></Pose>")
+                   + "".join(f"<{k}>{_n(v)}</{k}>" for k,
+                             v in zip("xyz", c, strict=True)) + "<Accurate>true</Accurate></Center></Pose>")
     return [*out, "</Photo>"]
 
 
@@ -239,9 +244,10 @@ def _written_points(scene: Exchange) -> list[str]:
             ties.append(f"<TiePoint>{place if known else ''}{marks}</TiePoint>")
             continue
         sd = p.sigma[j]
-        accuracy = (f"<HorizontalAccuracy>{_n(max(sd[0], sd[1]))}</HorizontalAccuracy><VerticalAccuracy>{_n(sd[2])}</VerticalAccuracy>"
-                    if np.isfinite(sd).all() else "")
+        accuracy = (f"<HorizontalAccuracy>{_n(max(sd[0], sd[1]))}</HorizontalAccuracy>"
+                    f"<VerticalAccuracy>{_n(sd[2])}</VerticalAccuracy>") if np.isfinite(sd).all() else ""
         check = "<CheckPoint>true</CheckPoint>" if role == "check" else ""
-        control.append(f"<ControlPoint><Name>{escape(name)}</Name>{'<SRSId>0</SRSId>' if scene.crs not in (None, 'local') else ''}"
+        srs = "" if scene.crs in (None, "local") else "<SRSId>0</SRSId>"
+        control.append(f"<ControlPoint><Name>{escape(name)}</Name>{srs}"
                        f"{place}{accuracy}{check}{marks}</ControlPoint>")
     return [*control, "</ControlPoints>", *ties, "</TiePoints>"] if len(p) else []

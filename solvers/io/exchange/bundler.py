@@ -15,7 +15,7 @@ import numpy as np
 from ...cameras.brown import Brown
 from ...cameras.foreign import to_brown
 from ...errors import BadTable, PhotogrammetryError
-from ...geometry import Exterior, log, rotation
+from ...geometry import log
 from ..files import write_text
 from .conventions import CameraAxes, Position, RotationDirection, exterior_as, exterior_from
 from .options import NOTHING, Reading
@@ -96,7 +96,8 @@ def read(path: Path, options: Reading = NOTHING) -> Exchange:
             raise BadTable(f"{path} line {line}: camera {n}: {error}") from None
     half = (np.array(size) - 1) / 2
     marks = observations_from([(i, j, half[0] + x, half[1] - y, s) for i, j, x, y, s in rows])
-    notes = () if options.size else (f"size of the photos: {size[0]} x {size[1]} px, just enough for the measurements (assumed; give "
+    notes = () if options.size else (f"size of the photos: {size[0]} x {size[1]} px, just enough for the measurements (assumed; "
+                                     f"give "
                                      "--size WIDTH,HEIGHT)",)
     return Exchange("Bundler", path, options.crs or "local", _shared(lenses, shots), tuple(shots),
                     points_from(path, [str(j) for j in range(points)], xyz, role="tie"), marks, notes)
@@ -142,7 +143,8 @@ def _lenses(scene: Exchange) -> tuple[dict[str, Brown], tuple[str, ...]]:
         b, fit = to_brown(camera, TERMS)
         off = np.hypot(b.cx - (b.width - 1) / 2, b.cy - (b.height - 1) / 2)
         if off > 1e-6:
-            notes.append(f"camera {name}: this format has its principal point in the middle of the photo, {off:.4g} px from the true one; "
+            notes.append(f"camera {name}: this format has its principal point in the middle of the photo, {off:.4g} px from the "
+                         f"true one; "
                          "the measurements are moved by that")
         out[name], notes = b, [*notes, *fit.told(name)]
     return out, tuple(notes)
@@ -191,7 +193,8 @@ def write_bal(scene: Exchange, path: Path) -> tuple[str, ...]:
     points = sorted({int(of.point[r]) for r in rows})
     place = {j: n for n, j in enumerate(points)}
     if not rows:
-        raise BadTable(f"{path}: a BAL problem is made of measurements of points with coordinates in oriented images, and there are none; "
+        raise BadTable(f"{path}: a BAL problem is made of measurements of points with coordinates in oriented images, and there "
+                       f"are none; "
                        "give a project with observations and orientations")
     out = [f"{len(images)} {len(points)} {len(rows)}"]
     for r in rows:
@@ -208,17 +211,3 @@ def write_bal(scene: Exchange, path: Path) -> tuple[str, ...]:
     write_text(path, "\n".join(out) + "\n")
     left = len(scene.shots) - len(images)
     return (*notes, *((f"{left} images without an orientation are left out",) if left else ()))
-
-
-def read_bal_problem(path: Path, options: Reading = NOTHING) -> Exchange:
-    """A BAL problem, a camera an image unless all are alike. Raises BadTable."""
-    from ..bal import read_bal
-
-    block = read_bal(path)
-    lenses: dict[str, Camera] = {name: Brown(float(c.c / c.pitch[1]), float(c.c / c.pitch[1]), (c.width - 1) / 2, (c.height - 1) / 2,
-                                             k1=c.k1, k2=c.k2, width=c.width, height=c.height) for name, c in block.cameras.items()}
-    shots = [Shot(i.name, i.camera, Exterior(rotation(*i.prior.angles), i.prior.centre)) for i in block.images
-             if i.prior is not None and i.prior.angles is not None and i.prior.centre is not None]
-    return Exchange("BAL", path, "local", _shared(lenses, shots), tuple(shots), block.points, block.observations,
-                    (f"size of the photos: {block.cameras[block.images[0].camera].width} x {block.cameras[block.images[0].camera].height} "
-                     "px, just enough for the measurements (assumed)",))

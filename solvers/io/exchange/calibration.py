@@ -22,7 +22,8 @@ from .structure import AGAIN, read_json
 
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 MATRIX_NAMES = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "intrinsic", "intrinsics", "mtx", "M1")
-DISTORTION_NAMES = ("distortion_coefficients", "distCoeffs", "Distortion_Coefficients", "dist_coeffs", "dist_coeff", "distortion", "D",
+DISTORTION_NAMES = ("distortion_coefficients", "distCoeffs", "Distortion_Coefficients", "dist_coeffs", "dist_coeff", "distortion",
+                    "D",
                     "dist", "D1")
 WIDTHS, HEIGHTS = ("image_width", "image_Width", "width"), ("image_height", "image_Height", "height")
 
@@ -43,7 +44,8 @@ def _size(path: Path, options: Reading) -> tuple[int, int]:
 def looks_like_opencv(head: str) -> bool:
     """Whether a text's beginning is OpenCV's FileStorage or a JSON with a camera matrix."""
     known = any(re.search(rf"[\"<\s]?{name}\b", head) for name in MATRIX_NAMES[:4])
-    return known and (head.startswith("%YAML") or "<opencv_storage>" in head or "opencv-matrix" in head or head.lstrip().startswith("{"))
+    return known and (head.startswith("%YAML") or "<opencv_storage>" in head or "opencv-matrix" in head
+                      or head.lstrip().startswith("{"))
 
 
 def read_opencv(path: Path, options: Reading = NOTHING) -> Exchange:
@@ -94,7 +96,8 @@ def _storage(path: Path) -> dict[str, Any]:
     except (cv2.error, SystemError, UnicodeDecodeError, ValueError):
         raise BadTable(f"{path}: this is not a whole file of OpenCV's FileStorage; {AGAIN}") from None
     whole = 1 <= w <= 1e7 and 1 <= h <= 1e7
-    return {k: None if v is None else np.asarray(v, float).ravel() for k, v in out.items()} | {"size": (round(w), round(h)) if whole
+    return {k: None if v is None else np.asarray(v, float).ravel() for k,
+            v in out.items()} | {"size": (round(w), round(h)) if whole
                                                                                                else None}
 
 
@@ -103,7 +106,8 @@ def _storage(path: Path) -> dict[str, Any]:
 
 def looks_like_cam(head: str) -> bool:
     """Whether a text's beginning is a Pix4D .cam file."""
-    return "Pix4D camera calibration" in head or ("assuming a sensor width" in head and re.search(r"^F ", head, re.MULTILINE) is not None)
+    return "Pix4D camera calibration" in head or ("assuming a sensor width" in head
+                                                  and re.search(r"^F ", head, re.MULTILINE) is not None)
 
 
 def read_cam(path: Path, options: Reading = NOTHING) -> Exchange:
@@ -120,7 +124,8 @@ def read_cam(path: Path, options: Reading = NOTHING) -> Exchange:
         raise BadTable(f"{path}: the sensor width is {sensor[1]} mm, expected a positive number; {AGAIN}")
     pitch = across / width
     try:
-        camera = from_pix4d(found["F"] / pitch, (found["Px"] / pitch, found["Py"] / pitch), [found.get(k, 0.0) for k in ("K1", "K2", "K3")],
+        camera = from_pix4d(found["F"] / pitch, (found["Px"] / pitch, found["Py"] / pitch),
+                            [found.get(k, 0.0) for k in ("K1", "K2", "K3")],
                             [found.get(k, 0.0) for k in ("T1", "T2")], width, height, (pitch, pitch))
     except PhotogrammetryError as error:
         raise BadTable(f"{path}: {error}; {AGAIN}") from None
@@ -129,13 +134,14 @@ def read_cam(path: Path, options: Reading = NOTHING) -> Exchange:
 
 # -- Australis ------------------------------------------------------------------------------------------------------------
 
-AUSTRALIS = {"c": r"C|c|principal distance", "xp": "XP|xp", "yp": "YP|yp", "k1": "K1", "k2": "K2", "k3": "K3", "p1": "P1", "p2": "P2",
+AUSTRALIS = {"c": r"C|c|principal distance", "xp": "XP|xp", "yp": "YP|yp", "k1": "K1", "k2": "K2", "k3": "K3", "p1": "P1",
+             "p2": "P2",
              "b1": "B1", "b2": "B2"}
 
 
 def looks_like_australis(head: str) -> bool:
     """Whether a text's beginning names Australis or iWitness, or lists C, XP, YP and K1."""
-    return bool(re.search(r"australis|iwitness", head, re.IGNORECASE)) and "K1" in head or \
+    return (bool(re.search(r"australis|iwitness", head, re.IGNORECASE)) and "K1" in head) or \
         all(re.search(rf"^\s*{k}\b", head, re.MULTILINE | re.IGNORECASE) for k in ("C", "XP", "YP", "K1"))
 
 
@@ -150,7 +156,7 @@ def read_australis(path: Path, options: Reading = NOTHING) -> Exchange:
     missing = [k.upper() for k in ("c", "xp", "yp") if k not in values]
     if missing:
         raise BadTable(f"{path}: {missing[0]} is missing; write lines such as C 28.9, XP 0.05, YP -0.02, K1 1.2e-4")
-    size = re.search(rf"(?:sensor size|image size|resolution)\D*?(\d+)\D+?(\d+)", text, re.IGNORECASE)
+    size = re.search(r"(?:sensor size|image size|resolution)\D*?(\d+)\D+?(\d+)", text, re.IGNORECASE)
     pixel = re.search(rf"pixel size\D*?({NUMBER})(?:\D+?({NUMBER}))?", text, re.IGNORECASE)
     width, height = (int(size[1]), int(size[2])) if size else _size(path, options)
     if pixel is None:
@@ -171,7 +177,8 @@ def write_australis(camera: Camera) -> tuple[str, tuple[str, ...]]:
     ours, fit = to_interior(camera)
     rows = [f"{name.upper()} {getattr(ours, name)!r}" for name in ("c", "xp", "yp", "k1", "k2", "k3", "p1", "p2", "b1", "b2")]
     px, py = (float(p) for p in ours.pitch)
-    return "\n".join(["Australis camera calibration (mm)", f"Sensor size: {ours.width} x {ours.height}", f"Pixel size: {px!r} x {py!r}",
+    return "\n".join(["Australis camera calibration (mm)", f"Sensor size: {ours.width} x {ours.height}",
+                      f"Pixel size: {px!r} x {py!r}",
                       *rows]) + "\n", fit.told("camera")
 
 
@@ -181,16 +188,18 @@ DEWARP = re.compile(r"DewarpData[\"'>=\s]*([^\"'<]*)")
 
 
 def dewarp(text: str, width: int, height: int, where: str) -> tuple[Brown, tuple[str, ...]]:
-    """The camera of DJI's DewarpData, "date;fx,fy,cx,cy,k1,k2,p1,p2,k3" (cx, cy from the middle of the photo). Raises BadTable."""
+    """The camera of DJI's DewarpData, "date;fx,fy,cx,cy,k1,k2,p1,p2,k3" (cx, cy from the middle). Raises BadTable."""
     date, _, numbers = text.strip().rpartition(";")
     try:
         values = [float(v) for v in numbers.split(",")]
     except ValueError:
         values = []
     if len(values) != 9 or not np.isfinite(values).all():
-        raise BadTable(f"{where}: DewarpData is '{text.strip()[:40]}', expected date;fx,fy,cx,cy,k1,k2,p1,p2,k3; take another photo")
+        raise BadTable(f"{where}: DewarpData is '{text.strip()[:40]}', expected date;fx,fy,cx,cy,k1,k2,p1,p2,k3; take another "
+                       f"photo")
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = values
-    camera = Brown(fx, fy, width / 2 + cx - CORNER, height / 2 + cy - CORNER, k1=k1, k2=k2, k3=k3, p1=p1, p2=p2, width=width, height=height)
+    camera = Brown(fx, fy, width / 2 + cx - CORNER, height / 2 + cy - CORNER, k1=k1, k2=k2, k3=k3, p1=p1, p2=p2, width=width,
+                   height=height)
     return camera, (f"DewarpData of {date}",) if date else ()
 
 

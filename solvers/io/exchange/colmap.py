@@ -56,7 +56,8 @@ def read(path: Path) -> Exchange:
     for part in ("cameras", "images"):
         if not (folder / (part + ending)).exists():
             raise BadTable(f"{folder / (part + ending)}: there is no such file; give the folder of the whole model")
-    reads: tuple[Callable[[Path], Any], ...] = (_cameras_bin, _images_bin, _points_bin) if binary else (_cameras, _images, _points)
+    reads: tuple[Callable[[Path], Any], ...] = (_cameras_bin, _images_bin,
+                                                _points_bin) if binary else (_cameras, _images, _points)
     cameras = reads[0](folder / f"cameras{ending}")
     images = reads[1](folder / f"images{ending}")
     there = (folder / f"points3D{ending}").exists()
@@ -71,7 +72,8 @@ def _exchange(folder: Path, source: Path, cameras: Mapping[int, Camera], images:
     shots, rows = [], []
     for i, (image, (name, file)) in enumerate(zip(images, names, strict=True)):
         if image.camera not in cameras:
-            raise BadTable(f"{source}: image '{image.name}' has camera {image.camera}, which cameras{source.suffix} lacks; {AGAIN}")
+            raise BadTable(f"{source}: image '{image.name}' has camera {image.camera}, which cameras{source.suffix} lacks; "
+                           f"{AGAIN}")
         try:
             exterior = exterior_from(quaternion_from(image.q), image.t, *CONVENTION)
         except BadTable as error:
@@ -93,7 +95,8 @@ def _rigs_said(folder: Path, ending: str) -> tuple[str, ...]:
         shared = sum(len(line.cells) > 4 for line in lines_of(rigs))
     else:
         shared = sum(n > 1 for n in _rig_sizes(_Bytes(rigs)))
-    return (f"{shared} rigs of several cameras: each image keeps its own pose, that the rig is rigid is not kept",) if shared else ()
+    return (f"{shared} rigs of several cameras: each image keeps its own pose, that the rig is rigid is not kept",
+            ) if shared else ()
 
 
 # -- text -----------------------------------------------------------------------------------------------------------------
@@ -204,7 +207,8 @@ def _cameras_bin(path: Path) -> dict[int, Camera]:
         number, model, width, height = data.take("iiQQ")
         if model not in BY_NUMBER:
             name, _ = COLMAP_OTHERS.get(model, (f"number {model}", 0))
-            raise Unsupported(f"{path}: camera {number}: the camera model {name} is not one of {', '.join(COLMAP_MODELS)}; undistort "
+            raise Unsupported(f"{path}: camera {number}: the camera model {name} is not one of {', '.join(COLMAP_MODELS)}; "
+                              f"undistort "
                               "the photos in COLMAP (image_undistorter) and take the model it writes")
         params = data.finite(data.array("<f8", len(COLMAP_MODELS[BY_NUMBER[model]][1])))
         out[number] = _made(path, f"camera {number}", BY_NUMBER[model], params, int(width), int(height))

@@ -37,12 +37,14 @@ def of_control(control: ControlList, options: Reading = NOTHING) -> Exchange:
     origin = _origin(options)
     rows = [(index[m.image], points[m.point], m.col - origin, m.row - origin, m.sigma) for m in control.marks]
     said = options.pixel_origin or not rows
-    notes = control.notes if said else (*control.notes, "pixel origin: center of the top-left pixel (assumed; give --pixel-origin "
+    notes = control.notes if said else (*control.notes, "pixel origin: center of the top-left pixel (assumed; give "
+                                                        "--pixel-origin "
                                         "corner if (0, 0) is its corner)")
     shots = tuple(Shot(name, None, None, file) for name, file in named(labels))
     crs = short_crs(control.crs, metric=False) if control.crs else options.crs
     return Exchange("control points", control.path, crs, {}, shots,
-                    points_from(control.path, control.names, control.xyz, control.sigma, control.role), observations_from(rows), notes)
+                    points_from(control.path, control.names, control.xyz, control.sigma, control.role), observations_from(rows),
+                    notes)
 
 
 def _origin(options: Reading) -> float:
@@ -59,14 +61,17 @@ def read_pix4dmatic(path: Path, options: Reading = NOTHING) -> Exchange:
     """
     sheet = read_sheet(path)
     if options.crs is None:
-        raise BadTable(f"{path}: a PIX4Dmatic list has its coordinates in the axis order of its crs, and does not name it; give --crs "
+        raise BadTable(f"{path}: a PIX4Dmatic list has its coordinates in the axis order of its crs, and does not name it; give "
+                       f"--crs "
                        "EPSG:CODE")
     if sheet.width not in (4, 5, 6):
-        raise BadTable(f"{path} line {sheet.lines[0][0]}: {sheet.width} columns, expected label, two coordinates, height and perhaps two "
+        raise BadTable(f"{path} line {sheet.lines[0][0]}: {sheet.width} columns, expected label, two coordinates, height and "
+                       f"perhaps two "
                        "accuracies")
     crs = short_crs(options.crs, metric=False)
     swap = north_first(crs)
-    keys = dict(zip(("name", "Y" if swap else "X", "X" if swap else "Y", "Z", "sH", "sV"), range(sheet.width), strict=False))
+    keys: dict[str, int] = dict(zip(("name", "Y" if swap else "X", "X" if swap else "Y", "Z", "sH", "sV"), range(sheet.width),
+                                    strict=False))
     rows = sheet.rows(keys)
     xyz = [[r.required(k, "a coordinate") for k in "XYZ"] for r in rows]
     sigma = [[r.number(k, "an accuracy in metres", lowest=0) for k in ("sH", "sH", "sV")] for r in rows]
@@ -102,7 +107,8 @@ def read_qgis(path: Path, options: Reading = NOTHING) -> Exchange:
             continue
         cells = [c.strip() for c in line.split(",")]
         if len(cells) < len(header) - 1 or len(cells) <= max(at.values()):
-            raise BadTable(f"{path} line {n}: {len(cells)} cells where the header has {len(header)}; save the points again in QGIS")
+            raise BadTable(f"{path} line {n}: {len(cells)} cells where the header has {len(header)}; save the points again in "
+                           f"QGIS")
         row = Row(path, n, {k: cells[i] for k, i in at.items() if i >= 0})
         if row.cells.get("enable", "1") in ("0", "false"):
             continue
@@ -111,7 +117,8 @@ def read_qgis(path: Path, options: Reading = NOTHING) -> Exchange:
         rows.append((0, len(xyz) - 1, col - PixelOrigin.CORNER.value, down - PixelOrigin.CORNER.value, np.nan))
     [(name, file)] = named([path.name.removesuffix(".points")])
     points = points_from(path, [f"qgis{n + 1}" for n in range(len(xyz))], np.array(xyz).reshape(-1, 3), role="tie")
-    return Exchange("QGIS points", path, short_crs(crs, metric=False) if crs else None, {}, (Shot(name, None, None, file),), points,
+    return Exchange("QGIS points", path, short_crs(crs, metric=False) if crs else None, {}, (Shot(name, None, None, file),),
+                    points,
                     observations_from(rows), ("heights are unknown in QGIS: the points are ties until they have heights",))
 
 
@@ -120,7 +127,8 @@ def write_qgis(scene: Exchange, path: Path) -> tuple[str, ...]:
     names = {s.name: n for n, s in enumerate(scene.shots)} | {label: n for n, label in enumerate(labels_of(scene.shots))}
     wanted = path.name.removesuffix(".points")
     if wanted not in names and len(scene.shots) != 1:
-        raise BadTable(f"{path}: a .points file is of one image; name it IMAGE.points, after one of {', '.join(s.name for s in scene.shots[:6])}")
+        raise BadTable(f"{path}: a .points file is of one image; name it IMAGE.points, after one of "
+                       f"{', '.join(s.name for s in scene.shots[:6])}")
     image = names.get(wanted, 0)
     of = scene.observations
     out = [f"#CRS: {scene.crs}"] if scene.crs not in (None, "local") else []
@@ -143,18 +151,19 @@ def looks_like_opensfm(head: str) -> bool:
 
 
 def read_opensfm(path: Path, options: Reading = NOTHING) -> Exchange:
-    """Positions in latitude, longitude, altitude; projections divided by the longer side from the middle of the photo (--size)."""
+    """Positions in latitude, longitude, altitude; projections divided by the longer side, from the middle (--size)."""
     root = read_json(path)
     if options.size is None:
-        raise BadTable(f"{path}: its measurements are divided by the longer side of the photos; give their size with --size WIDTH,HEIGHT")
+        raise BadTable(f"{path}: its measurements are divided by the longer side of the photos; give their size with --size "
+                       f"WIDTH,HEIGHT")
     width, height = options.size
     names, xyz, labels, marks = [], [], [], []
-    for n, point in enumerate(root.get("points").list()):
+    for n, point in enumerate(root.get("points").entries()):
         names.append(point.get("id").text())
         at = point.maybe("position")
         xyz.append([np.nan] * 3 if at is None else
                    [at.get("longitude").number(), at.get("latitude").number(), at.number_or("altitude", np.nan)])
-        for o in point.get("observations").list():
+        for o in point.get("observations").entries():
             labels.append(o.get("shot_id").text())
             marks.append((n, o.get("projection").numbers(2)))
     index = {label: n for n, label in enumerate(dict.fromkeys(labels))}
@@ -250,10 +259,12 @@ def write_geojson(scene: Exchange, path: Path) -> tuple[str, ...]:
         if role == "tie" or not np.isfinite(scene.points.xyz[j]).all():
             continue
         marks = [{"filename": labels[of.image[r]], "ji": of.pixel[r]} for r in np.flatnonzero(of.point == j)]
-        features.append({"type": "Feature", "geometry": {"type": "Point", "coordinates": [round(float(v), 11) for v in degrees[j, :2]]
+        features.append({"type": "Feature", "geometry": {"type": "Point", "coordinates": [round(float(v), 11)
+                                                                                          for v in degrees[j, :2]]
                                                           + [float(degrees[j, 2])]},
                          "properties": {"id": name, "role": role, "X": scene.points.xyz[j, 0], "Y": scene.points.xyz[j, 1],
-                                        "Z": scene.points.xyz[j, 2], "sigma_m": scene.points.sigma[j], "marks": marks, "crs": crs}})
+                                        "Z": scene.points.xyz[j, 2], "sigma_m": scene.points.sigma[j], "marks": marks,
+                                        "crs": crs}})
     write_json(path, {"type": "FeatureCollection", "features": features})
     heights = described(crs).heights
     return (f"heights: {heights}, as they are in the project",)
@@ -269,7 +280,7 @@ def read_geojson(path: Path, options: Reading = NOTHING) -> Exchange:
     names, xyz, sigma, role, marks = [], [], [], [], []
     index: dict[str, int] = {}
     crs = None
-    for n, f in enumerate(read_json(path).get("features").list(), 1):
+    for n, f in enumerate(read_json(path).get("features").entries(), 1):
         p = f.get("properties")
         name = p.get("id").text() if p.maybe("id") else f"gcp{n}"
         if p.maybe("crs") and p.maybe("X"):
@@ -284,7 +295,7 @@ def read_geojson(path: Path, options: Reading = NOTHING) -> Exchange:
             sd = p.maybe("sigma_m")
             sigma.append([np.nan] * 3 if sd is None or None in sd.value else sd.numbers(3))
             role.append(p.get("role").text() if p.maybe("role") else "control")
-        places = p.get("marks").list() if p.maybe("marks") else [p] if p.maybe("ji") else []
+        places = p.get("marks").entries() if p.maybe("marks") else [p] if p.maybe("ji") else []
         marks += [(index[name], m.get("filename").text(), m.get("ji").numbers(2)) for m in places]
     bad = [r for r in role if r not in ("control", "check", "tie")]
     if bad:

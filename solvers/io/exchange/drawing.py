@@ -1,7 +1,7 @@
 """Drawings and pictures' places for other programs: DXF of lines and points, world files, GeoJSON of lines.
 
-DXF is the ASCII form of AutoCAD R12 (AC1009), which every CAD program reads. A world file maps pixel centres: A, D, B, E, then the
-map coordinates of the centre of the top-left pixel.
+DXF is the ASCII form of AutoCAD R12 (AC1009), which every CAD program reads. A world file maps pixel centres: A, D, B, E, then
+the map coordinates of the centre of the top-left pixel.
 """
 
 from __future__ import annotations
@@ -20,19 +20,21 @@ LINE_COLUMNS = ("line", "image", "col", "row")
 
 
 def read_lines(path: Path) -> dict[str, tuple[str, np.ndarray]]:
-    """Lines drawn in photos, a table line,image,col,row with one vertex a line: image and pixels (k, 2) by name. Raises BadTable."""
+    """Lines drawn in photos, a table line,image,col,row of vertices: image and pixels (k, 2) by name. Raises BadTable."""
     out: dict[str, tuple[str, list[list[float]]]] = {}
     for row in read_table(path, LINE_COLUMNS):
         name, image = row.text("line"), row.text("image")
         if name in out and out[name][0] != image:
-            raise row.error(f"line '{name}' is in image '{out[name][0]}' above and in '{image}' here; give each image its own lines")
+            raise row.error(f"line '{name}' is in image '{out[name][0]}' above and in '{image}' here; give each image its own "
+                            f"lines")
         out.setdefault(name, (image, []))[1].append([row.required("col", "pixels"), row.required("row", "pixels")])
     if not out:
         raise BadTable(f"{path}: there is no line in it; write one vertex a line under the header {','.join(LINE_COLUMNS)}")
     return {name: (image, np.array(xy)) for name, (image, xy) in out.items()}
 
 
-def write_dxf(path: Path, lines: Mapping[str, Sequence[tuple[str, np.ndarray, bool]]], points: Mapping[str, Sequence[tuple[str, np.ndarray]]],
+def write_dxf(path: Path, lines: Mapping[str, Sequence[tuple[str, np.ndarray, bool]]],
+              points: Mapping[str, Sequence[tuple[str, np.ndarray]]],
               text_height: float = 1.0) -> None:
     """A drawing. lines: by layer, name, vertices (k, 3) [m] and whether closed; points: by layer, name and place (3,) [m]."""
     every = [xyz for rows in lines.values() for _, xyz, _ in rows] + [at[None] for rows in points.values() for _, at in rows]
@@ -54,7 +56,8 @@ def write_dxf(path: Path, lines: Mapping[str, Sequence[tuple[str, np.ndarray, bo
             out += ["0", "SEQEND", "8", _layer(layer)]
     for layer, marks in points.items():
         for name, at in marks:
-            out += ["0", "POINT", "8", _layer(layer), *_xyz(at), "0", "TEXT", "8", _layer(layer), *_xyz(at), "40", repr(text_height), "1",
+            out += ["0", "POINT", "8", _layer(layer), *_xyz(at), "0", "TEXT", "8", _layer(layer), *_xyz(at), "40",
+                    repr(text_height), "1",
                     name.replace("\n", " ")]
     write_text(path, "\n".join([*out, "0", "ENDSEC", "0", "EOF"]) + "\n")
 

@@ -17,8 +17,8 @@ from ...block import Points
 from ...cameras.foreign import as_metashape, from_metashape
 from ...errors import BadTable, PhotogrammetryError, Unsupported
 from ..crs import is_geographic, short_crs
+from ..geocentric import from_geocentric
 from .conventions import CameraAxes, PixelOrigin, Position, RotationDirection, exterior_from
-from .geocentric import from_geocentric
 from .options import NOTHING, Reading
 from .scene import Camera, Exchange, Shot, named, no_points, observations_from, points_from
 from .structure import Xml, read_xml
@@ -92,7 +92,8 @@ def _sensors(chunk: Xml) -> tuple[dict[str, Camera], tuple[str, ...]]:
         if not found:
             continue
         if kind != "frame":
-            raise Unsupported(f"{sensor.path}: sensor {number} is a {kind} camera; only frame cameras are read, undistort the photos "
+            raise Unsupported(f"{sensor.path}: sensor {number} is a {kind} camera; only frame cameras are read, undistort the "
+                              f"photos "
                               "in Metashape and export again")
         adjusted = [c for c in found if c.element.attrib.get("class") == "adjusted"]
         chosen = (adjusted or found)[-1]
@@ -201,5 +202,6 @@ def calibration_text(camera: Camera) -> tuple[str, tuple[str, ...]]:
     """The XML of a calibration as Metashape saves and opens it, and notes."""
     values, fit = as_metashape(camera)
     rows = "".join(f"  <{k}>{v!r}</{k}>\n" for k, v in values.items())
-    return (f'<?xml version="1.0" encoding="UTF-8"?>\n<calibration>\n  <projection>frame</projection>\n  <width>{camera.width}</width>\n'
+    return (f'<?xml version="1.0" encoding="UTF-8"?>\n<calibration>\n  <projection>frame</projection>\n  '
+            f'<width>{camera.width}</width>\n'
             f"  <height>{camera.height}</height>\n{rows}</calibration>\n"), fit.told("camera")

@@ -16,6 +16,7 @@ from ...cameras import Interior
 from ...cameras.distortion import correct_derivatives
 from ...cameras.foreign import PITCH_MM, Fit
 from ...errors import BadTable, PhotogrammetryError, Unsupported
+from ...geometry import Exterior
 from .conventions import CameraAxes, Position, RotationDirection, exterior_from
 from .options import NOTHING, Reading
 from .scene import Exchange, Shot, named
@@ -63,7 +64,7 @@ def _calibration(o: Xml, file: Path) -> tuple[Xml, str]:
     return inner, beside.stem
 
 
-def _pose(o: Xml) -> object:
+def _pose(o: Xml) -> Exterior:
     place = o.get("Externe")
     kind = o.maybe("ConvOri", "KnownConv")
     if kind is not None and kind.text() not in ("eConvApero_DistM2C", "eConvApero_DistC2M"):
@@ -82,7 +83,8 @@ def interior_of(c: Xml) -> tuple[Interior, Fit]:
     width, height = round(size[0]), round(size[1])
     p = PITCH_MM
     try:
-        camera = Interior(f * p, (pp[0] - (width - 1) / 2) * p, -(pp[1] - (height - 1) / 2) * p, pixel_mm=p, width=width, height=height)
+        camera = Interior(f * p, (pp[0] - (width - 1) / 2) * p, -(pp[1] - (height - 1) / 2) * p, pixel_mm=p, width=width,
+                          height=height)
     except PhotogrammetryError as error:
         raise c.error(str(error)) from None
     lens = c.all("CalibDistortion")
@@ -94,7 +96,8 @@ def interior_of(c: Xml) -> tuple[Interior, Fit]:
         if d.maybe("ModNoDist") is not None:
             return camera, Fit()
         kinds = ", ".join(x.tag for x in d.children()) or "nothing"
-        raise Unsupported(f"{c.path}: its distortion is {kinds}; only ModRad and ModPhgrStd are read, calibrate with RadialStd or Fraser")
+        raise Unsupported(f"{c.path}: its distortion is {kinds}; only ModRad and ModPhgrStd are read, calibrate with RadialStd "
+                          f"or Fraser")
     centre = model.get("CDist").numbers(2) if model.maybe("CDist") is not None else pp
     radial = [e.number() for e in model.all("CoeffDist")] + [0.0] * 3
     extra = d.maybe("ModPhgrStd")

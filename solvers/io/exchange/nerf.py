@@ -37,7 +37,7 @@ def read(path: Path, options: Reading = NOTHING) -> Exchange:
     if root.maybe("camera_model") and root.get("camera_model").text() not in ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE"):
         raise Unsupported(f"{path}: its camera model is {root.get('camera_model').text()}; only OPENCV and PINHOLE are read")
     undo = _undo(root)
-    frames = root.get("frames").list()
+    frames = root.get("frames").entries()
     cameras: dict[Camera, str] = {}
     labels, found = [], []
     for frame in frames:
@@ -90,7 +90,7 @@ def _camera(root: Item, frame: Item, options: Reading) -> Camera:
     cx, cy = v["cx"] if v["cx"] is not None else width / 2, v["cy"] if v["cy"] is not None else height / 2
     d = {k: v[k] or 0.0 for k in ("k1", "k2", "k3", "k4", "p1", "p2")}
     try:
-        return Brown(fx, fy, cx - CORNER, cy - CORNER, **d, width=width, height=height)
+        return Brown(fx, fy, cx - CORNER, cy - CORNER, width=width, height=height, **d)  # type: ignore[arg-type]
     except PhotogrammetryError as error:
         raise frame.error(str(error)) from None
 
@@ -102,7 +102,8 @@ def write(scene: Exchange, path: Path) -> tuple[str, ...]:
     for name, camera in scene.cameras.items():
         b, fit = to_brown(camera, ("k1", "k2", "k3", "k4", "p1", "p2", "aspect"))
         notes += fit.told(name)
-        values[name] = dict(zip(KEYS, (b.fx, b.fy, b.cx + CORNER, b.cy + CORNER, b.width, b.height, b.k1, b.k2, b.k3, b.k4, b.p1, b.p2),
+        values[name] = dict(zip(KEYS, (b.fx, b.fy, b.cx + CORNER, b.cy + CORNER, b.width, b.height, b.k1, b.k2, b.k3, b.k4, b.p1,
+                                       b.p2),
                                 strict=True))
     frames = []
     for shot, label in zip(scene.shots, labels_of(scene.shots), strict=True):
@@ -110,7 +111,8 @@ def write(scene: Exchange, path: Path) -> tuple[str, ...]:
             continue
         r, c = exterior_as(shot.exterior, *CONVENTION)
         matrix = np.vstack([np.column_stack([r, c]), [0, 0, 0, 1]])
-        frames.append({"file_path": shot.file or label, "transform_matrix": matrix, **(values[shot.camera] if len(values) > 1 else {})})
+        frames.append({"file_path": shot.file or label, "transform_matrix": matrix,
+                       **(values[shot.camera] if len(values) > 1 else {})})
     common = next(iter(values.values())) if len(values) == 1 else {}
     write_json(path, {"camera_model": "OPENCV", **common, "frames": frames})
     left = len(scene.shots) - len(frames)

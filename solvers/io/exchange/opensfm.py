@@ -16,8 +16,8 @@ from ...cameras.brown import Brown
 from ...errors import PhotogrammetryError, Unsupported
 from ...geometry import Exterior, exp
 from ..crs import transformed, utm_zone
+from ..geocentric import axes_at, from_geocentric, to_geocentric
 from .conventions import CameraAxes, Position, RotationDirection, exterior_from
-from .geocentric import axes_at, from_geocentric, to_geocentric
 from .options import NOTHING, Reading
 from .scene import Camera, Exchange, Shot, named, no_observations, points_from
 from .structure import Item, read_json
@@ -36,7 +36,7 @@ def looks_like(head: str) -> str | None:
 def read(path: Path, options: Reading = NOTHING) -> Exchange:
     """The first reconstruction of the file; georeferenced by its reference_lla. Raises BadTable and Unsupported."""
     root = read_json(path)
-    parts = root.list() if isinstance(root.value, list) else [root]
+    parts = root.entries() if isinstance(root.value, list) else [root]
     if not parts:
         raise root.error("is empty")
     part = parts[0]
@@ -44,7 +44,7 @@ def read(path: Path, options: Reading = NOTHING) -> Exchange:
     crs, place, notes = _reference(part, path, options)
     items = list(part.get("shots").members())
     shots = []
-    for (label, shot), (name, file) in zip(items, named([label for label, _ in items]), strict=True):
+    for (_, shot), (name, file) in zip(items, named([label for label, _ in items]), strict=True):
         at = _pose(shot)
         camera = shot.get("camera").text()
         if camera not in cameras:
@@ -54,7 +54,8 @@ def read(path: Path, options: Reading = NOTHING) -> Exchange:
     xyz = [_placed(Exterior(np.eye(3), x), place, crs).centre for _, x in points]
     if len(parts) > 1:
         notes = (*notes, f"the first of {len(parts)} reconstructions is read")
-    return Exchange("OpenSfM reconstruction", path, crs, cameras, tuple(shots), points_from(path, [k for k, _ in points], xyz, role="tie"),
+    return Exchange("OpenSfM reconstruction", path, crs, cameras, tuple(shots),
+                    points_from(path, [k for k, _ in points], xyz, role="tie"),
                     no_observations(), notes)
 
 
@@ -69,11 +70,12 @@ def camera_of(c: Item) -> Camera:
     elif kind == "brown":
         fx, fy = c.get("focal_x").number(), c.get("focal_y").number()
     else:
-        raise Unsupported(f"{c.path}: {c.where} is a {kind} camera; only perspective, radial and brown cameras are read, {FISHEYE}")
+        raise Unsupported(f"{c.path}: {c.where} is a {kind} camera; only perspective, radial and brown cameras are read, "
+                          f"{FISHEYE}")
     d = {k: c.number_or(k, 0.0) for k in ("k1", "k2", "k3", "p1", "p2")}
     try:
-        return Brown(fx * side, fy * side, c.number_or("c_x", 0.0) * side + (width - 1) / 2, c.number_or("c_y", 0.0) * side
-                     + (height - 1) / 2, **d, width=width, height=height)
+        return Brown(fx * side, fy * side, c.number_or("c_x", 0.0) * side + (width - 1) / 2,
+                     c.number_or("c_y", 0.0) * side + (height - 1) / 2, width=width, height=height, **d)  # type: ignore[arg-type]
     except PhotogrammetryError as error:
         raise c.error(str(error)) from None
 
@@ -107,7 +109,7 @@ def _placed(at: Exterior, place: tuple[str, np.ndarray] | None, crs: str) -> Ext
 
 def read_shots(path: Path, options: Reading = NOTHING) -> Exchange:
     """OpenDroneMap's shots.geojson, with cameras.json beside or above it where it is. Raises BadTable."""
-    features = read_json(path).get("features").list()
+    features = read_json(path).get("features").entries()
     if not features:
         raise read_json(path).error("has no features")
     cameras = _odm_cameras(path)
@@ -127,7 +129,8 @@ def read_shots(path: Path, options: Reading = NOTHING) -> Exchange:
         found.append((camera, at))
     shots = tuple(Shot(name, camera, at, file) for (name, file), (camera, at) in zip(named(labels), found, strict=True))
     plain = any(isinstance(c, Brown) and not c.distorts for c in cameras.values())
-    notes = ("cameras: focal length only, without principal point and distortion; put cameras.json beside the file to have them",) \
+    notes = ("cameras: focal length only, without principal point and distortion; put cameras.json beside the file to have them",
+             ) \
         if plain else ()
     used = {s.camera for s in shots}
     return Exchange("ODM shots.geojson", path, crs, {k: v for k, v in cameras.items() if k in used}, shots, notes=notes)
@@ -147,6 +150,7 @@ def _utm_of(feature: Item, centre: np.ndarray) -> str:
     zone = utm_zone(float(geometry[1]), float(geometry[0]))
     there = transformed(np.array([[geometry[0], geometry[1], 0.0]]), "EPSG:4326", zone)[0]
     if np.hypot(*(there - centre)[:2]) > 50:
-        raise feature.error(f"lies {np.hypot(*(there - centre)[:2]):.0f} m from its translation in {zone}; say with --crs in which "
+        raise feature.error(f"lies {np.hypot(*(there - centre)[:2]):.0f} m from its translation in {zone}; say with --crs in "
+                            f"which "
                             "system the translations are")
     return zone

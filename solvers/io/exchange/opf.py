@@ -28,7 +28,8 @@ from .scene import Camera, Exchange, Shot, labels_of, named, no_observations, no
 from .structure import Item, read_json
 
 PREFIX = "application/opf-"
-LOCAL = ('ENGCRS["Arbitrary Local Coordinate System",EDATUM["Unknown engineering datum"],CS[Cartesian,3],AXIS["(E)",east,ORDER[1]],'
+LOCAL = ('ENGCRS["Arbitrary Local Coordinate System",EDATUM["Unknown engineering '
+         'datum"],CS[Cartesian,3],AXIS["(E)",east,ORDER[1]],'
          'AXIS["(N)",north,ORDER[2]],AXIS["(U)",up,ORDER[3]],LENGTHUNIT["metre",1]]')
 VERSION = "1.0"
 SPACE = uuid.uuid5(uuid.NAMESPACE_URL, "https://github.com/Pix4D/opf-spec")
@@ -48,7 +49,7 @@ def read(path: Path, options: Reading = NOTHING) -> Exchange:
     shots, notes = [], []
     numbers: dict[str, int] = {}
     calibrated = parts.get("calibrated-cameras")
-    poses = {c.get("id").text(): c for c in calibrated.get("cameras").list()} if calibrated is not None else {}
+    poses = {c.get("id").text(): c for c in calibrated.get("cameras").entries()} if calibrated is not None else {}
     for number, (name, file) in names.items():
         numbers[number] = len(shots)
         c = poses.get(number)
@@ -62,7 +63,8 @@ def read(path: Path, options: Reading = NOTHING) -> Exchange:
         notes.append("there are no calibrated cameras, their orientations are not known")
     crs, points, observations = _control(parts.get("input-control-points"), numbers, crs, path)
     used = {s.camera for s in shots}
-    return Exchange("OPF", path, crs, {k: v for k, v in cameras.items() if k in used or not shots}, tuple(shots), points, observations,
+    return Exchange("OPF", path, crs, {k: v for k, v in cameras.items() if k in used or not shots}, tuple(shots), points,
+                    observations,
                     tuple(notes))
 
 
@@ -79,8 +81,8 @@ def _parts(path: Path) -> dict[str, Item]:
         beside = [path, *sorted(p for p in path.parent.glob("*.json") if p != path)]
         return _by_format([read_json(p) for p in beside if p == path or PREFIX in _head(p)])
     files = []
-    for item in root.get("items").list():
-        for resource in item.get("resources").list():
+    for item in root.get("items").entries():
+        for resource in item.get("resources").entries():
             if not resource.get("format").text().endswith("+json") or not resource.get("format").text().startswith(PREFIX):
                 continue
             uri = urlparse(resource.get("uri").text())
@@ -135,12 +137,12 @@ def _crs(item: Item) -> str:
 
 def _names(cameras: Item | None, parts: Mapping[str, Item]) -> dict[str, tuple[str, str | None]]:
     if cameras is not None:
-        rows = [(c.get("id").text(), unquote(urlparse(c.get("uri").text()).path)) for c in cameras.get("cameras").list()]
+        rows = [(c.get("id").text(), unquote(urlparse(c.get("uri").text()).path)) for c in cameras.get("cameras").entries()]
     else:
         source = parts.get("calibrated-cameras")
-        rows = [(c.get("id").text(), c.get("id").text()) for c in source.get("cameras").list()] if source is not None else []
+        rows = [(c.get("id").text(), c.get("id").text()) for c in source.get("cameras").entries()] if source is not None else []
         if source is None and parts.get("input-control-points") is not None:
-            marks = [m for g in parts["input-control-points"].get("gcps").list() for m in g.get("marks").list()]
+            marks = [m for g in parts["input-control-points"].get("gcps").entries() for m in g.get("marks").entries()]
             rows = [(n, n) for n in dict.fromkeys(m.get("camera_id").text() for m in marks)]
     return dict(zip([r[0] for r in rows], named([r[1] for r in rows]), strict=True))
 
@@ -149,10 +151,10 @@ def _sensors(parts: Mapping[str, Item]) -> dict[str, Camera]:
     given = parts.get("input-cameras")
     if given is None:
         return {}
-    sizes = {s.get("id").text(): s for s in given.get("sensors").list()}
+    sizes = {s.get("id").text(): s for s in given.get("sensors").entries()}
     best = parts.get("calibrated-cameras")
     out: dict[str, Camera] = {}
-    for sensor in (best.get("sensors").list() if best is not None else sizes.values()):
+    for sensor in best.get("sensors").entries() if best is not None else list(sizes.values()):
         number = sensor.get("id").text()
         if number not in sizes:
             raise sensor.error(f"is sensor {number}, which the input cameras do not have")
@@ -175,8 +177,9 @@ def _control(part: Item | None, numbers: Mapping[str, int], crs: str | None, pat
     if part is None:
         return crs, no_points(), no_observations()
     names, xyz, sigma, role, rows = [], [], [], [], []
-    gcps = part.get("gcps").list()
-    for n, point in enumerate([*gcps, *(part.get("mtps").list() if part.maybe("mtps") else [])]):
+    gcps = part.get("gcps").entries()
+    mtps = part.get("mtps").entries() if part.maybe("mtps") else []
+    for n, point in enumerate(gcps + mtps):
         names.append(point.get("id").text())
         if n < len(gcps):
             place = point.get("geolocation")
@@ -191,7 +194,7 @@ def _control(part: Item | None, numbers: Mapping[str, int], crs: str | None, pat
             xyz.append(np.full(3, np.nan))
             sigma.append(np.full(3, np.nan))
             role.append("tie")
-        for mark in point.get("marks").list():
+        for mark in point.get("marks").entries():
             camera = mark.get("camera_id").text()
             if camera not in numbers:
                 raise mark.error(f"is in camera {camera}, which the camera list does not have")
@@ -277,13 +280,15 @@ def _written_control(scene: Exchange, crs: str) -> dict[str, Any]:
     order = [1, 0, 2] if north_first(crs) else [0, 1, 2]
     marks: dict[int, list[dict[str, Any]]] = {}
     for i, j, pixel, sigma in zip(of.image, of.point, of.pixel, of.sigma, strict=True):
-        marks.setdefault(int(j), []).append({"camera_id": int(i), "position_px": pixel, "accuracy": 1.0 if np.isnan(sigma) else sigma})
+        marks.setdefault(int(j), []).append({"camera_id": int(i), "position_px": pixel, "accuracy": 1.0 if np.isnan(sigma)
+                                             else sigma})
     gcps, mtps = [], []
     for j, (name, role) in enumerate(zip(p.names, p.role, strict=True)):
         entry: dict[str, Any] = {"id": name, "is_checkpoint": role == "check", "marks": marks.get(j, [])}
         if role != "tie" and np.isfinite(p.xyz[j]).all():
             sigmas = np.where(np.isfinite(p.sigma[j]), p.sigma[j], (0.02, 0.02, 0.04))[order]
-            entry["geolocation"] = {"coordinates": p.xyz[j][order], "sigmas": sigmas, "crs": {"definition": LOCAL if crs == "local" else crs}}
+            entry["geolocation"] = {"coordinates": p.xyz[j][order], "sigmas": sigmas,
+                                    "crs": {"definition": LOCAL if crs == "local" else crs}}
             gcps.append(entry)
         elif marks.get(j):
             mtps.append(entry)

@@ -1,7 +1,7 @@
 """Exterior orientations as text: Metashape's and Pix4D's OPK files, PATB, and tables of any make with named columns.
 
 Angles are omega, phi, kappa or phi, omega, kappa, in degrees, gon or radians; which, the header says, or the rotation matrix
-beside the angles, or the person (--angles, --unit). References: Metashape "Export cameras, omega phi kappa"; Pix4D article
+beside the angles, or the person (--angles, --angle-unit). References: Metashape "Export cameras, omega phi kappa"; Pix4D article
 202558969; PATB records by PCI Geomatics article 204186705 (I16,16x,3F16.5 / 5F16.12 / 4F16.12).
 """
 
@@ -106,7 +106,8 @@ def _header(path: Path, sheet: Sheet) -> tuple[tuple[str, ...] | None, AngleUnit
 def _columns(sheet: Sheet, header: tuple[str, ...] | None) -> tuple[dict[str, int], AngleOrder]:
     if header is None:
         if sheet.width < 7:
-            raise BadTable(f"{sheet.path} line {sheet.lines[0][0]}: {sheet.width} items, expected image, X, Y, Z and three angles; "
+            raise BadTable(f"{sheet.path} line {sheet.lines[0][0]}: {sheet.width} items, expected image, X, Y, Z and three "
+                           f"angles; "
                            "give a table with these columns")
         numeric = [all(NUMBER.fullmatch(c[i].replace(",", ".")) for _, c in sheet.lines) for i in range(7)]
         if not all(numeric[1:]):
@@ -133,7 +134,8 @@ def _settled(path: Path, angles: np.ndarray, order: AngleOrder, unit: AngleUnit 
              options: Reading) -> tuple[AngleOrder, AngleUnit, tuple[str, ...]]:
     """Order and unit that agree with the matrices where there are any; else as said, degrees when nothing is."""
     if matrices is not None:
-        tried = [(o, u) for o in dict.fromkeys((order, *AngleOrder)) for u in dict.fromkeys((unit or AngleUnit.DEGREES, *AngleUnit))]
+        tried = [(o, u) for o in dict.fromkeys((order, *AngleOrder))
+                 for u in dict.fromkeys((unit or AngleUnit.DEGREES, *AngleUnit))]
         swap = {AngleOrder.OPK: order is not AngleOrder.OPK}
         for o, u in tried:
             a = angles[:, [1, 0, 2]] if swap.get(o, order is AngleOrder.OPK) else angles
@@ -142,24 +144,27 @@ def _settled(path: Path, angles: np.ndarray, order: AngleOrder, unit: AngleUnit 
                 if (o, u) == (order, unit or AngleUnit.DEGREES):
                     return o, u, ()
                 if options.angles or options.unit:
-                    raise BadTable(f"{path}: its rotation matrices say {o.name} in {u.name.lower()}; leave out --angles and --unit")
+                    raise BadTable(f"{path}: its rotation matrices say {o.name} in {u.name.lower()}; leave out --angles and "
+                                   f"--unit")
                 if o is not order:
                     angles[:] = a
                 return o, u, (f"angles: {o.name} in {u.name.lower()}, as its rotation matrices say",)
-        raise BadTable(f"{path}: angles and rotation matrix of image 1 contradict each other in every order and unit; correct the "
+        raise BadTable(f"{path}: angles and rotation matrix of image 1 contradict each other in every order and unit; correct "
+                       f"the "
                        "file")
     largest = float(np.abs(angles).max(initial=0.0))
     if unit is not None:
         limit = {AngleUnit.DEGREES: 360.0, AngleUnit.GON: 400.0, AngleUnit.RADIANS: 2 * np.pi}[unit]
         if largest > limit * 1.0001:
-            raise BadTable(f"{path}: an angle is {largest:g}, more than a full turn in {unit.name.lower()}; give the right --unit "
+            raise BadTable(f"{path}: an angle is {largest:g}, more than a full turn in {unit.name.lower()}; give the right "
+                           f"--unit "
                            "deg, gon or rad")
         return order, unit, ()
     if largest > 360.0001:
         if largest > 400.0001:
             raise BadTable(f"{path}: an angle is {largest:g}, more than a full turn in degrees or gon; correct it")
         return order, AngleUnit.GON, ("angles: in gon, one is above 360",)
-    return order, AngleUnit.DEGREES, (f"angles: {order.name} in degrees (assumed; give --angles and --unit if they are not)",)
+    return order, AngleUnit.DEGREES, (f"angles: {order.name} in degrees (assumed, else give --angles and --angle-unit)",)
 
 
 def _said(sheet: Sheet, header: tuple[str, ...] | None, columns: dict[str, int]) -> str:
@@ -249,7 +254,8 @@ def _pix4d(shots: list[Shot], labels: list[str], order: AngleOrder, unit: AngleU
     for label in labels:
         if any(c.isspace() for c in label):
             raise BadTable(f"image '{label}': this format takes no blanks in names; rename the photo")
-    rows = [" ".join([label, *sum(_values(s, order, unit), [])]) for s, label in zip(shots, labels, strict=True)]
+    rows = [" ".join([label, *(v for part in _values(s, order, unit) for v in part)]) for s,
+            label in zip(shots, labels, strict=True)]
     return "\n".join(["imageName X Y Z " + " ".join(_title(order)), *rows]) + "\n"
 
 

@@ -51,7 +51,8 @@ def read(path: Path, options: Reading = NOTHING) -> Exchange:
         try:
             camera = from_pix4d(matrix[0, 0], (matrix[0, 2], matrix[1, 2]), list(record[4].floats(0, 3)),
                                 list(record[5].floats(0, 2)), width, height)
-            exterior = exterior_from(np.array([line.floats(0, 3) for line in record[7:]]), record[6].floats(0, 3) + offset, *CONVENTION)
+            exterior = exterior_from(np.array([line.floats(0, 3) for line in record[7:]]), record[6].floats(0, 3) + offset,
+                                     *CONVENTION)
         except PhotogrammetryError as error:
             raise type(error)(f"{path} line {record[0].number}: image '{name}': {error}") from None
         labels.append(name)
@@ -59,7 +60,8 @@ def read(path: Path, options: Reading = NOTHING) -> Exchange:
     if not labels:
         raise BadTable(f"{path}: there is no image below the header; {AGAIN}")
     shots = tuple(Shot(name, of, at, file) for (name, file), (of, at) in zip(named(labels), places, strict=True))
-    return Exchange("Pix4D calibrated camera parameters", path, options.crs, {v: k for k, v in cameras.items()}, shots, notes=notes)
+    return Exchange("Pix4D calibrated camera parameters", path, options.crs, {v: k for k, v in cameras.items()}, shots,
+                    notes=notes)
 
 
 def _offset(path: Path) -> tuple[np.ndarray, tuple[str, ...]]:
@@ -88,7 +90,8 @@ def write(scene: Exchange, path: Path) -> tuple[str, ...]:
         p, camera = values[shot.camera], scene.cameras[shot.camera]
         f, (cx, cy) = p["focal_length_px"], p["principal_point_px"]
         r, centre = exterior_as(shot.exterior, *CONVENTION)
-        rows = [[f, 0.0, cx], [0.0, f, cy], [0.0, 0.0, 1.0], p["radial_distortion"], p["tangential_distortion"], centre - offset, *r]
+        rows = [[f, 0.0, cx], [0.0, f, cy], [0.0, 0.0, 1.0], p["radial_distortion"], p["tangential_distortion"], centre - offset,
+                *r]
         out += [f"{label} {camera.width} {camera.height}", *(" ".join(repr(float(v)) for v in row) for row in rows)]
     write_text(path, "\n".join(out) + "\n")
     stem = path.stem.removesuffix("_calibrated_camera_parameters").removesuffix("calibrated_camera_parameters")

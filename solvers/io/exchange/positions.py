@@ -10,11 +10,11 @@ import numpy as np
 from ...errors import BadTable
 from ...geometry import Exterior, Onboard, photo_rotation
 from ..crs import transformed, utm_zone
+from ..geocentric import axes_at
 from ..metadata import read_onboard
 from ..photos import EXTENSIONS
 from ..sniff import read_text
 from ..telemetry import read_mrk, read_positions
-from .geocentric import axes_at
 from .options import NOTHING, Reading
 from .scene import Exchange, Shot
 

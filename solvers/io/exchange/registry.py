@@ -98,7 +98,7 @@ FORMATS: dict[str, Format] = {
     "opensfm": Format("OpenSfM reconstruction.json", ("cameras", "orientations", "points"), opensfm.read),
     "shots": Format("OpenDroneMap shots.geojson", POSES, opensfm.read_shots),
     "bundler": Format("Bundler bundle.out", ALL, bundler.read, bundler.write),
-    "bal": Format("bundle adjustment in the large", ALL, bundler.read_bal_problem, bundler.write_bal),
+    "bal": Format("bundle adjustment in the large", ALL, None, bundler.write_bal),
     "micmac": Format("MicMac Ori folder", POSES, micmac.read, None, True),
     "nerfstudio": Format("nerfstudio transforms.json", POSES, nerf.read, nerf.write),
     "gcp-odm": Format("OpenDroneMap gcp_list.txt", CONTROL, control.read_list, control.write_odm),
@@ -121,7 +121,7 @@ FORMATS: dict[str, Format] = {
     "glb": Format("glTF 2.0 scene", ("orientations", "points"), None, solid.write_glb),
     "ply": Format("PLY scene", ("orientations", "points"), None, solid.write_ply),
 }
-"""What `convert` reads and writes beside project folders; dxf, world and footprints need the ground and are made by the workflow."""
+"""What `convert` reads and writes beside project folders; dxf, world and footprints need the ground: the workflow makes them."""
 
 
 def _photos(path: Path) -> list[Path]:
@@ -139,7 +139,8 @@ def read(path: Path | str, name: str | None = None, options: Reading = NOTHING) 
     if not path.exists():
         raise BadTable(f"{path}: there is no such file or folder; correct the path")
     if name is not None and (name not in FORMATS or FORMATS[name].read is None):
-        raise BadTable(f"--from {name}: this format is not read; choose from {', '.join(k for k, f in FORMATS.items() if f.read)}")
+        raise BadTable(f"--from {name}: this format is not read; choose from "
+                       f"{', '.join(k for k, f in FORMATS.items() if f.read)}")
     name = name or sniff(path)
     reader = FORMATS[name].read
     assert reader is not None
@@ -204,7 +205,8 @@ def _file(path: Path) -> str | None:
 
 def _xml(path: Path, head: str) -> str | None:
     tests = {"cal-opencv": "<opencv_storage" in head, "metashape": metashape.looks_like(head), "blocks": blocks.looks_like(head),
-             "micmac": micmac.looks_like(path, head) and "<OrientationConique" in head, "cal-micmac": "<CalibrationInternConique" in head,
+             "micmac": micmac.looks_like(path, head) and "<OrientationConique" in head,
+             "cal-micmac": "<CalibrationInternConique" in head,
              "cal-metashape": "<calibration" in head}
     return next((name for name, yes in tests.items() if yes), None)
 
@@ -228,7 +230,7 @@ def _text(head: str) -> str | None:
     tests = {"cal-opencv": head.startswith("%YAML") or "!!opencv-matrix" in head, "bundler": bundler.looks_like(head),
              "pix4d": pix4d.looks_like(head), "cal-pix4d": calibration.looks_like_cam(head),
              "cal-australis": calibration.looks_like_australis(head), "qgis": control.looks_like_qgis(head),
-             "opk": opk.looks_like(Path(), head), "patb": opk.looks_like_patb(head), "bal": bundler.looks_like_bal(content),
+             "opk": opk.looks_like(Path(), head), "patb": opk.looks_like_patb(head),
              "mrk": bool(re.search(r",\s*Lat\b.*,\s*Lon\b.*,\s*Ellh\b", first)), "geo": _positions(first)}
     found = next((name for name, yes in tests.items() if yes), None)
     return found or ("gcp" if content and "\0" not in head and "\ufffd" not in head else None)

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import Any
 
 import numpy as np
 
@@ -88,7 +89,7 @@ def no_observations() -> Observations:
     return Observations(np.empty(0, int), np.empty(0, int), np.empty((0, 2)), np.empty(0))
 
 
-def points_from(path: Path, names: Sequence[str], xyz: Iterable[np.ndarray], sigma: Iterable[np.ndarray] | None = None,
+def points_from(path: Path, names: Sequence[str], xyz: Iterable[Any], sigma: Iterable[Any] | None = None,
                 role: Sequence[str] | str = "control") -> Points:
     """Points of rows; a role for all or one each. Raises BadTable for a name that is there twice."""
     twice = [n for n, k in Counter(names).items() if k > 1]
@@ -113,7 +114,8 @@ def named(labels: Sequence[str]) -> list[tuple[str, str | None]]:
     def parts(label: str) -> tuple[str, str, str]:
         pure = PureWindowsPath(label) if "\\" in label else PurePosixPath(label)
         photo = pure.suffix.lower() in EXTENSIONS or pure.suffix.lower() in (".dng", ".arw", ".cr2", ".nef", ".jp2", ".webp")
-        return (pure.stem if photo else pure.name), pure.name, "_".join(p for p in pure.parts if p not in ("/", "\\", pure.anchor))
+        return (pure.stem if photo else pure.name), pure.name, "_".join(p for p in pure.parts
+                                                                        if p not in ("/", "\\", pure.anchor))
 
     found = [parts(label.strip()) for label in labels]
     files = [label if f[0] != f[1] or "/" in label or "\\" in label else None for f, label in zip(found, labels, strict=True)]

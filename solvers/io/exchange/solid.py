@@ -70,8 +70,10 @@ def write_ply(scene: Exchange, path: Path) -> tuple[str, ...]:
         first = len(rows)
         rows += [(p - origin, COLOURS["camera"]) for p in shape]
         faces += [f"3 {first} {first + 1 + k} {first + 1 + (k + 1) % 4}" for k in range(4)]
-    head = ["ply", "format ascii 1.0", f"comment origin {' '.join(repr(float(v)) for v in origin)} crs {' '.join(str(scene.crs).split())}",
-            f"element vertex {len(rows)}", *(f"property double {k}" for k in "xyz"), *(f"property uchar {k}" for k in ("red", "green", "blue")),
+    head = ["ply", "format ascii 1.0", f"comment origin {' '.join(repr(float(v)) for v in origin)} crs "
+                                       f"{' '.join(str(scene.crs).split())}",
+            f"element vertex {len(rows)}", *(f"property double {k}" for k in "xyz"),
+            *(f"property uchar {k}" for k in ("red", "green", "blue")),
             f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header"]
     body = [" ".join([*(repr(float(v)) for v in at), *map(str, colour)]) for at, colour in rows]
     write_text(path, "\n".join([*head, *body, *faces]) + "\n")
@@ -96,9 +98,11 @@ def write_glb(scene: Exchange, path: Path) -> tuple[str, ...]:
     kinds = list(COLOURS)
     document = {"asset": {"version": "2.0", "generator": "collinea",
                           "extras": {"origin": origin.tolist(), "crs": scene.crs, "axes": "x east, y up, z south"}},
-                "scene": 0, "scenes": [{"nodes": list(range(len(parts)))}], "nodes": [], "meshes": [], "accessors": [], "bufferViews": [],
+                "scene": 0, "scenes": [{"nodes": list(range(len(parts)))}], "nodes": [], "meshes": [], "accessors": [],
+                "bufferViews": [],
                 "materials": [{"name": k, "extensions": {"KHR_materials_unlit": {}},
-                               "pbrMetallicRoughness": {"baseColorFactor": [*(round((v / 255) ** 2.2, 4) for v in COLOURS[k]), 1.0],
+                               "pbrMetallicRoughness": {"baseColorFactor": [*(round((v / 255) ** 2.2, 4) for v in COLOURS[k]),
+                                                                            1.0],
                                                         "metallicFactor": 0.0}} for k in kinds],
                 "extensionsUsed": ["KHR_materials_unlit"], "buffers": []}
     data = b""
@@ -122,7 +126,8 @@ def write_glb(scene: Exchange, path: Path) -> tuple[str, ...]:
 
 def _accessor(document: dict, data: bytes, values: np.ndarray) -> bytes:
     points = values.ndim == 2
-    document["bufferViews"].append({"buffer": 0, "byteOffset": len(data), "byteLength": values.nbytes, "target": 34962 if points else 34963})
+    document["bufferViews"].append({"buffer": 0, "byteOffset": len(data), "byteLength": values.nbytes, "target": 34962 if points
+                                    else 34963})
     entry = {"bufferView": len(document["bufferViews"]) - 1, "componentType": 5126 if points else 5125, "count": len(values),
              "type": "VEC3" if points else "SCALAR"}
     if points:

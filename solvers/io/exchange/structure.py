@@ -53,7 +53,7 @@ class Item:
         for key, value in self.value.items():
             yield key, Item(self.path, f"{self.where}.{key}" if self.where else key, value)
 
-    def list(self) -> list[Item]:
+    def entries(self) -> list[Item]:
         """The members of a list."""
         if not isinstance(self.value, list):
             raise self.error("is not a list")
@@ -86,7 +86,7 @@ class Item:
         while todo:
             item = todo.pop(0)
             if isinstance(item.value, list):
-                todo = [*item.list(), *todo]
+                todo = [*item.entries(), *todo]
             else:
                 flat.append(item.number())
         counts = (count,) if isinstance(count, int) else tuple(count)
@@ -107,7 +107,8 @@ def read_json(path: Path) -> Item:
         value = json.loads(text)
     except (ValueError, RecursionError) as error:
         line = getattr(error, "lineno", None)
-        raise BadTable(f"{path}{f' line {line}' if line else ''}: this is not whole JSON ({' '.join(str(error).split())}); {AGAIN}"
+        raise BadTable(f"{path}{f' line {line}' if line else ''}: this is not whole JSON ({' '.join(str(error).split())}); "
+                       f"{AGAIN}"
                        ) from None
     return Item(path, "", value)
 
@@ -130,7 +131,7 @@ class Xml:
 
     def all(self, *tags: str) -> list[Xml]:
         """The children that a way of tags leads to, numbered where there are several."""
-        level = [self]
+        level: list[Xml] = [self]
         for tag in tags:
             level = [Xml(e.path, f"{e.where}/{tag}{f'[{n + 1}]' if n else ''}", c)
                      for e in level for n, c in enumerate(c for c in e.element if _local(c.tag) == tag)]
@@ -203,10 +204,10 @@ def read_xml(path: Path) -> Xml:
     data = read_bytes(path, AGAIN)
     try:
         root = fromstring(data)
-    except (ParseError, ValueError, LookupError, RecursionError) as error:
-        raise BadTable(f"{path}: this is not whole XML ({' '.join(str(error).split())}); {AGAIN}") from None
     except DefusedXmlException:
         raise BadTable(f"{path}: its XML defines entities or refers to other files, which is not read; {AGAIN}") from None
+    except (ParseError, ValueError, LookupError, RecursionError) as error:
+        raise BadTable(f"{path}: this is not whole XML ({' '.join(str(error).split())}); {AGAIN}") from None
     return Xml(path, _local(root.tag), root)
 
 

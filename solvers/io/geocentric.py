@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ...geometry import Exterior
-from ..crs import is_geographic
+from ..geometry import Exterior
+from .crs import is_geographic
 
 
 @lru_cache(maxsize=32)
@@ -48,7 +48,7 @@ def to_geocentric(exterior: Exterior, crs: str) -> Exterior:
 
 def converted(exterior: Exterior, source: str, target: str) -> Exterior:
     """An orientation in another crs, heights kept as they are; the same direction in space."""
-    from ..crs import transformed
+    from .crs import transformed
 
     if source == target:
         return exterior
