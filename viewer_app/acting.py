@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, TypeVar
 
-from .state import HISTORY, State, Work
+from .state import HISTORY, MODELS, State, Work
 
 
 class Action:
@@ -84,6 +84,8 @@ def travel(state: State, back: str, forth: str) -> State:
 
 def follow(state: State) -> State:
     """The row shown stays at the end where it was there, and within what there is."""
+    if not state.follow and not all((s := state.solution(m)) and s.done for m in MODELS):
+        return state  # more rows may come
     row = state.last_row if state.follow else min(state.row, state.last_row)
     return replace(state, row=row) if row != state.row else state
 

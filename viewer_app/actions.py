@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from solvers import Block
 from solvers.geometry import Surface
 
 from .acting import Action, edit, follow, handles, travel, update
@@ -21,9 +22,40 @@ from .actions_trace import STEPS, GoTo, Play, Speed, Step, Tick
 from .state import FORMS, PRIORS, Photo, Settings, State, Terrain, View
 
 __all__ = [
-    "SPOTS", "STEPS", "Action", "Advised", "Aim", "Brought", "Cancel", "ChooseImage", "ChoosePoint", "Clicking", "Failed",
-    "ForgetSpots", "GoTo", "Place", "Play", "Plot", "Redo", "Rows", "Say", "Set", "Show", "Solve", "Solved", "Speed", "Step",
-    "SwitchPoint", "Tick", "Undo", "Unmark", "UseBox", "UseOnly", "UsePoints", "update",
+    "SPOTS",
+    "STEPS",
+    "Action",
+    "Advised",
+    "Aim",
+    "Brought",
+    "Cancel",
+    "ChooseImage",
+    "ChoosePoint",
+    "Clicking",
+    "Failed",
+    "ForgetSpots",
+    "GoTo",
+    "Place",
+    "Play",
+    "Plot",
+    "Redo",
+    "Rows",
+    "Saved",
+    "Say",
+    "Set",
+    "Show",
+    "Solve",
+    "Solved",
+    "Speed",
+    "Step",
+    "SwitchPoint",
+    "Tick",
+    "Undo",
+    "Unmark",
+    "UseBox",
+    "UseOnly",
+    "UsePoints",
+    "update",
 ]
 
 
@@ -97,6 +129,14 @@ class Redo(Action):
 @dataclass(frozen=True)
 class Say(Action):
     message: str
+
+
+@dataclass(frozen=True, eq=False)
+class Saved(Action):
+    """The block was written to the project's files."""
+
+    block: Block
+    where: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,6 +214,11 @@ def _travel(state: State, action: Undo | Redo) -> State:
 @handles(Say)
 def _say(state: State, action: Say) -> State:
     return replace(state, message=action.message)
+
+
+@handles(Saved)
+def _saved(state: State, action: Saved) -> State:
+    return replace(state, saved=action.block, message=f"Saved in {action.where}.")
 
 
 @handles(Brought)

@@ -17,12 +17,14 @@ import viser
 from solvers import Unsupported
 
 from .actions import Action, Say, Tick, update
-from .bridge import LOCAL_HOSTS, Wire, open_server
+from .bridge import LOCAL_HOSTS, Wire, guard_values, open_server
 from .flying import Fly, asked_by, flight
 from .home import home
 from .jobs import Jobs
+from .keeping import Keeper, resume
 from .loading import bring, open_project
 from .paint_viser import Painter
+from .palette import complete
 from .picking import pick
 from .state import MODELS, State, wanted
 from .tabs import Command, Desk, Panel, tabs, wanted_tasks, whole_scene
@@ -44,7 +46,9 @@ class App:
     def __init__(self, folder: Path | str | State, *, host: str = "127.0.0.1", port: int = 0, token: str | None = None) -> None:
         if host not in LOCAL_HOSTS | {"::1"} and not token:
             raise Unsupported(f"host {host} would open the project to other machines; give a token as well (--token WORD)")
-        self._state = folder if isinstance(folder, State) else open_project(folder)
+        opened = folder if isinstance(folder, State) else open_project(folder)
+        self._state = resume(opened)
+        self._keeper = Keeper(opened.assets.folder, opened.block, lambda: self._state)
         self._actions: queue.Queue[Action | None] = queue.Queue()
         self.latencies: list[float] = []
         self.server = open_server(host, port, token)
@@ -55,6 +59,7 @@ class App:
         self._panels: list[Panel] = []
         self._build()
         self._home_opens = True  # until everything was solved once, what is found widens the first view
+        self._kept: tuple[Any, ...] = ()
         self._closed, self._first = threading.Event(), threading.Event()
         self._paint()
         self._loop = threading.Thread(target=self._run, name="collinea-loop", daemon=True)
@@ -80,6 +85,7 @@ class App:
         self._actions.put(None)
         self._loop.join(timeout=10)
         self._reader.join(timeout=10)
+        self._keeper.close()
         self._jobs.close()
         for panel in self._panels:
             getattr(panel, "close", lambda: None)()
@@ -105,6 +111,7 @@ class App:
                     taken.append(more)
             if taken:
                 self._paint()
+                self._keep()
                 self.latencies = [*self.latencies, time.perf_counter() - began][-LATENCIES:]
             for _ in taken:
                 self._actions.task_done()
@@ -119,6 +126,33 @@ class App:
             except Exception as error:
                 logging.getLogger("collinea").exception("%s", action)
                 self._state = update(self._state, Say(f"{type(action).__name__} could not be done: {error}"))
+
+    def _keep(self) -> None:
+        """The session follows what people do; what the solver finds is no part of it."""
+        state = self._state
+        if state.saved is not None and state.saved is not self._keeper.disk:
+            self._keeper.disk = state.saved
+        marks = (
+            state.work.block,
+            state.work.off,
+            state.work.settings,
+            state.work.rooms,
+            state.view,
+            state.image,
+            state.point,
+            state.row,
+            state.mark,
+            state.spots,
+            state.click,
+            state.rooms,
+            state.past,
+            state.future,
+            state.saved,
+        )
+        if len(marks) != len(self._kept) or any(a is not b for a, b in zip(marks, self._kept, strict=True)):
+            if self._kept:
+                self._keeper.changed()
+            self._kept = marks
 
     def _solving(self) -> bool:
         """Asks for what is missing; whether the chosen image's own solutions are still to come."""
@@ -191,6 +225,8 @@ class App:
                 self._panels.append(tab.make(self._desk))
             for command in tab.commands:
                 self._command(gui, command)
+        complete(gui, {command.label for tab in tabs() for command in tab.commands})
+        guard_values(self.server)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(410)
         below.float(x=12, y=-12, width=430)

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import html
 import json
+import logging
+import math
 import secrets
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,6 +18,8 @@ from typing import Any
 import viser
 
 from solvers import Unsupported
+
+from .wire_script import SCRIPT
 
 KNOWN = "1.1."
 """The versions of viser this file was written for."""
@@ -105,6 +109,95 @@ def refuse(headers: dict[str, str], path: str, token: str | None, hosts: frozens
     return None
 
 
+MAX_UPLOAD = 64 * 2**20
+"""Largest file a browser may hand over, bytes."""
+MAX_TEXT = 2000
+"""Longest text a control takes, characters."""
+
+
+def guard_values(server: viser.ViserServer) -> None:
+    """From now on a browser may only give a control a value that the control offers; anything else is dropped and the control
+    is shown again as it is. viser itself believes every message, even one that names parts of the control."""
+    if not known_version():
+        return
+    from viser import _messages
+
+    gui: Any = server.gui
+    handlers: Any = server._websock_server._incoming_handlers
+    inner = gui._handle_gui_updates
+
+    async def checked(client_id: int, message: Any) -> None:
+        handle = gui._gui_input_handle_from_uuid.get(message.uuid)
+        if handle is None or set(message.updates) != {"value"} or not acceptable(handle, message.updates["value"]):
+            logging.getLogger("collinea").debug("refused: %s", str(message)[:200])
+            if handle is not None and not handle._impl.is_button:
+                again = _messages.GuiUpdateMessage(message.uuid, {"value": handle._impl.value})
+                for client in server.get_clients().values():
+                    if client.client_id == client_id:
+                        client._websock_connection.queue_message(again)
+            return
+        await inner(client_id, message)
+
+    handlers[_messages.GuiUpdateMessage] = [checked if h == inner else h for h in handlers[_messages.GuiUpdateMessage]]
+    start, part = gui._handle_file_transfer_start, gui._handle_file_transfer_part
+    sizes: dict[str, int] = {}
+
+    def starts(client_id: int, message: Any) -> None:
+        handle = gui._gui_input_handle_from_uuid.get(message.source_component_uuid)
+        fits = isinstance(message.size_bytes, int) and 0 <= message.size_bytes <= MAX_UPLOAD and len(sizes) < 8
+        if isinstance(handle, viser.GuiUploadButtonHandle) and fits:
+            sizes[message.transfer_uuid] = message.size_bytes
+            start(client_id, message)
+
+    def parts(client_id: int, message: Any) -> None:
+        if message.transfer_uuid not in sizes:
+            return
+        sizes[message.transfer_uuid] -= len(message.content)
+        if sizes[message.transfer_uuid] < 0:  # more than was announced
+            gui._current_file_upload_states.pop(message.transfer_uuid, None)
+        else:
+            part(client_id, message)
+        if sizes[message.transfer_uuid] <= 0:
+            del sizes[message.transfer_uuid]
+
+    for kind, old, new in ((_messages.FileTransferStartUpload, start, starts), (_messages.FileTransferPart, part, parts)):
+        handlers[kind] = [new if h == old else h for h in handlers.get(kind, [])]
+
+
+def acceptable(handle: Any, value: Any) -> bool:
+    """Whether a control offers this value."""
+    props, now = handle._impl.props, handle._impl.value
+    if handle._impl.is_button and not hasattr(props, "options"):
+        return isinstance(value, bool)
+    if hasattr(props, "options"):
+        return isinstance(value, str) and value in tuple(props.options)
+    if isinstance(now, bool):
+        return isinstance(value, bool)
+    if isinstance(now, int | float):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            return False
+        low, high = getattr(props, "min", None), getattr(props, "max", None)
+        return (low is None or value >= low) and (high is None or value <= high)
+    return isinstance(now, str) and isinstance(value, str) and len(value) <= MAX_TEXT
+
+
+def controls(gui: viser.GuiApi) -> tuple[Any, ...]:
+    """Every control of the page, as far as this version of viser tells."""
+    inner: Any = gui
+    return tuple(inner._gui_input_handle_from_uuid.values()) if known_version() else ()
+
+
+async def operate(gui: viser.GuiApi, handle: Any, value: Any, client_id: int) -> None:
+    """As if the browser had given the control this value."""
+    from viser import _messages
+
+    inner: Any = gui
+    if acceptable(handle, value):
+        await inner._handle_gui_updates(client_id, _messages.GuiUpdateMessage(handle._impl.uuid, {"value": value}))
+        if not handle._impl.is_button:
+            handle._impl.sync_cb(-1, {"value": value})  # the browser that asked does not know yet
+
+
 def _response(status: HTTPStatus, why: str) -> Any:
     from websockets.datastructures import Headers
     from websockets.http11 import Response
@@ -191,111 +284,3 @@ def parse(text: str) -> tuple[str, Any] | None:
         and all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in value)
     )
     return (kind, tuple(map(float, value))) if numbers and all(0 <= v <= 1 for v in value) else None
-
-
-SCRIPT = """
-window.collinea = (() => {
-  let count = 0;
-  const send = (kind, value) => window.__viserMutable.sendMessage(
-    {type: 'GuiUpdateMessage', uuid: UUID, updates: {value: JSON.stringify([kind, value, Date.now() + '-' + count++])}});
-  const press = ev => { ev.stopPropagation(); const e = ev.currentTarget; send(e.dataset.kind, e.dataset.value); };
-  const find = name => [...document.querySelectorAll('[data-focus]')].find(e => e.dataset.focus === name);
-  const step = (e, by) => {
-    const row = e.closest('tr'), column = e.dataset.focus?.split('/').slice(0, 2).join('/');
-    const next = by > 0 ? row?.nextElementSibling : row?.previousElementSibling;
-    const to = next && [...next.querySelectorAll('[data-focus]')].find(f => f.dataset.focus.startsWith(column + '/'));
-    if (to) { to.focus(); to.scrollIntoView({block: 'nearest'}); }
-    return !!to;
-  };
-  const arrows = ev => {
-    const by = {ArrowDown: 1, ArrowUp: -1}[ev.key];
-    if (by && ev.currentTarget.dataset.focus) { ev.preventDefault(); ev.stopPropagation(); step(ev.currentTarget, by); }
-  };
-  const key = ev => {
-    if (ev.key === 'Enter' || ev.key === ' ') { ev.preventDefault(); press(ev); } else arrows(ev);
-  };
-  // what is typed, the focus and scroll positions outlive the HTML being drawn anew
-  const scrolled = {}, typing = {};
-  let focus = null, left = 0;  // left: when somebody last went elsewhere; a box taken off the page speaks up too
-  const leaving = () => performance.now() - left < 300;
-  const change = ev => { if (leaving()) commit(ev); };
-  const commit = ev => {
-    const e = ev.currentTarget;
-    if (e.value === e.defaultValue) return;
-    delete typing[e.dataset.focus];
-    e.defaultValue = e.value;
-    send(e.dataset.kind, JSON.stringify([...JSON.parse(e.dataset.value), e.value]));
-  };
-  const typed = ev => {
-    const e = ev.currentTarget;
-    ev.stopPropagation();
-    if (ev.key === 'Enter') commit(ev);
-    else if (ev.key === 'Escape') { e.value = e.defaultValue; delete typing[e.dataset.focus]; }
-    else arrows(ev);
-  };
-  document.addEventListener('scroll', ev => {
-    const name = ev.target?.dataset?.keep;
-    if (name) scrolled[name] = [ev.target.scrollLeft, ev.target.scrollTop];
-  }, true);
-  document.addEventListener('focusin', ev => { focus = ev.target?.dataset?.focus ?? null; }, true);
-  document.addEventListener('pointerdown', ev => {
-    left = performance.now();
-    if (!ev.target?.closest?.('[data-focus]')) focus = null;
-  }, true);
-  document.addEventListener('keydown', ev => { if (ev.key === 'Tab') left = performance.now(); }, true);
-  document.addEventListener('input', ev => {
-    if (ev.target?.dataset?.focus) typing[ev.target.dataset.focus] = ev.target.value;
-  }, true);
-  document.addEventListener('focusout', ev => { if (leaving()) delete typing[ev.target?.dataset?.focus]; }, true);
-  new MutationObserver(records => {
-    if (!records.some(r => r.addedNodes.length)) return;
-    for (const e of document.querySelectorAll('[data-keep]')) {
-      const to = scrolled[e.dataset.keep];
-      if (to && (e.scrollLeft !== to[0] || e.scrollTop !== to[1])) { e.scrollLeft = to[0]; e.scrollTop = to[1]; }
-    }
-    if (focus === null || (document.activeElement && document.activeElement !== document.body)) return;
-    const name = focus, e = find(name);
-    if (!e) return;
-    const words = typing[name];
-    e.focus({preventScroll: true});
-    if (words !== undefined && e.value !== words) { e.value = words; typing[name] = words; }
-  }).observe(document.body, {childList: true, subtree: true});
-  const clamp = t => Math.min(1, Math.max(0, t));
-  const place = (ev, r) => [clamp((ev.clientX - r.left) / r.width), clamp((ev.clientY - r.top) / r.height)];
-  let dragged = false;
-  const point = ev => {
-    const e = ev.currentTarget;
-    if (!dragged) send(e.dataset.kind, place(ev, e.getBoundingClientRect()));
-  };
-  const down = ev => {
-    if (ev.button !== 0) return;
-    ev.preventDefault();
-    dragged = false;
-    const kind = ev.currentTarget.dataset.kind, r = ev.currentTarget.getBoundingClientRect(), from = place(ev, r);
-    let box = null;
-    const move = e => {
-      const to = place(e, r), far = Math.hypot(e.clientX - ev.clientX, e.clientY - ev.clientY) > 5;
-      if (!box && !far) return;
-      dragged = true;
-      if (!box) {
-        box = document.body.appendChild(document.createElement('div'));
-        box.style.cssText = 'position:fixed;z-index:10000;pointer-events:none;border:1.5px solid #fff;outline:1.5px dashed #000';
-      }
-      const at = (i, size, start) => [start + size * Math.min(from[i], to[i]), size * Math.abs(from[i] - to[i])];
-      [[box.style.left, box.style.width], [box.style.top, box.style.height]] =
-        [at(0, r.width, r.left), at(1, r.height, r.top)].map(p => p.map(v => v + 'px'));
-    };
-    const up = e => {
-      removeEventListener('pointermove', move, true);
-      removeEventListener('pointerup', up, true);
-      removeEventListener('pointercancel', up, true);
-      if (box) box.remove();
-      if (dragged && e.type === 'pointerup') send(kind + '-box', [...from, ...place(e, r)]);
-    };
-    addEventListener('pointermove', move, true);
-    addEventListener('pointerup', up, true);
-    addEventListener('pointercancel', up, true);
-  };
-  return {press, key, change, typed, point, down};
-})();
-"""

@@ -82,8 +82,18 @@ POINT_COLUMNS = (
     Column("role", "role", "", "Control points orient the images, check points judge them; a click changes it."),
     Column("v", "v", "px", "Length of the residual in the chosen image by the perspective solution, observed − projected."),
     Column("w", "w", "", "Largest standardized residual in the chosen image; above 3 a blunder is likely."),
-    *(Column(k, k, "m", f"Map coordinate {k}; type another and press Enter." if len(k) == 1 else
-             f"Standard error of {k[1:]}; empty means the project's default.", True) for k in FIELDS),
+    *(
+        Column(
+            k,
+            k,
+            "m",
+            f"Map coordinate {k}; type another and press Enter."
+            if len(k) == 1
+            else f"Standard error of {k[1:]}; empty means the project's default.",
+            True,
+        )
+        for k in FIELDS
+    ),
     Column("group", "group", "", "Cluster, column group of points.csv."),
 )
 IMAGE_COLUMNS = (
@@ -95,12 +105,13 @@ IMAGE_COLUMNS = (
 )
 ORIENTATION_COLUMNS = (
     Column("name", "image", "", "A click chooses the image and flies there."),
-    *(Column(k, k, u, f"{k} of the perspective solution, with its standard error.")
-      for k, u in (("X", "m"), ("Y", "m"), ("Z", "m"), ("ω", "°"), ("φ", "°"), ("κ", "°"))),
+    *(
+        Column(k, k, u, f"{k} of the perspective solution, with its standard error.")
+        for k, u in (("X", "m"), ("Y", "m"), ("Z", "m"), ("ω", "°"), ("φ", "°"), ("κ", "°"))
+    ),
     Column("sigma0", "σ0", "", "Standard error of unit weight, a posteriori; 1 is as expected."),
 )
-COLUMNS: dict[str, tuple[Column, ...]] = {
-    "points": POINT_COLUMNS, "images": IMAGE_COLUMNS, "orientations": ORIENTATION_COLUMNS}
+COLUMNS: dict[str, tuple[Column, ...]] = {"points": POINT_COLUMNS, "images": IMAGE_COLUMNS, "orientations": ORIENTATION_COLUMNS}
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,8 +177,15 @@ def _point_rows(state: State) -> list[Row]:
     for name, role, group, xyz, sigma in zip(points.names, points.role, groups, points.xyz, points.sigma, strict=True):
         if role == "tie":
             continue
-        values = {"on": name not in work.off, "name": name, "role": role, "group": group, "v": residuals.get(name, math.nan),
-                  "w": w.get(name, math.nan), **dict(zip(FIELDS, (*xyz.tolist(), *sigma.tolist()), strict=True))}
+        values = {
+            "on": name not in work.off,
+            "name": name,
+            "role": role,
+            "group": group,
+            "v": residuals.get(name, math.nan),
+            "w": w.get(name, math.nan),
+            **dict(zip(FIELDS, (*xyz.tolist(), *sigma.tolist()), strict=True)),
+        }
         rows.append(Row(name, values, name == state.point))
     return rows
 
@@ -182,8 +200,13 @@ def _image_rows(state: State) -> list[Row]:
     rows = []
     for image, n in zip(state.block.images, _counts(state.work), strict=True):
         rms = [s.orientation.rms_px if (s := state.solution(m, image.name)) and s.orientation else math.nan for m in MODELS]
-        values = {"name": image.name, "status": status(state, image.name, n, image.name in todo), "n": n, "rms_p": rms[0],
-                  "rms_o": rms[1]}
+        values = {
+            "name": image.name,
+            "status": status(state, image.name, n, image.name in todo),
+            "n": n,
+            "rms_p": rms[0],
+            "rms_o": rms[1],
+        }
         rows.append(Row(image.name, values, image.name == state.image))
     return rows
 

@@ -70,6 +70,4 @@ def request(job: Job) -> Request:
     if job.model == WITH_PRIOR:
         return Request(image, "perspective", points, robust=s.robust, prior="weighted")
     model: Any = job.model
-    return Request(
-        image, model, points, robust=s.robust, prior=s.prior, one_pass=s.one_pass, form=s.form, recentre=s.recentre
-    )
+    return Request(image, model, points, robust=s.robust, prior=s.prior, one_pass=s.one_pass, form=s.form, recentre=s.recentre)

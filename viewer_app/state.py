@@ -178,6 +178,7 @@ class State:
     past: tuple[Work, ...] = ()
     future: tuple[Work, ...] = ()
     rooms: Mapping[type, Any] = field(default_factory=dict)  # values of tabs that no undo touches, by their type
+    saved: Block | None = None  # as last written to the project's files, None as opened
 
     def room(self, kind: type[Room]) -> Room:
         """A tab's own value; its defaults before anything was said."""
@@ -199,6 +200,11 @@ class State:
     def last_row(self) -> int:
         """Last position of the slider: that of the longer of the chosen image's traces."""
         return max((len(s.rows) - 1 for m in COMPARED if (s := self.solution(m)) and s.rows), default=0)
+
+    @property
+    def shown_row(self) -> int:
+        """Position of the slider within what there is: the wish, `row`, may wait for rows to come."""
+        return min(self.row, self.last_row)
 
     def exterior(self, model: str, image: str | None = None) -> Exterior | None:
         """Local exterior orientation at the row shown, None where there is none."""

@@ -54,8 +54,16 @@ def test_nonsense_is_a_sentence_and_no_edit(solved: State, field: str, text: str
     assert now.work is solved.work and now.message.startswith(f"G03 {field}: ")
 
 
-@pytest.mark.parametrize("action", [EditPoint("nobody", "X", "1"), EditPoint("G03", "role", "1"), SwitchRole("nobody"),
-                                    SortBy("points", "nothing"), SortBy("nowhere", "name")])
+@pytest.mark.parametrize(
+    "action",
+    [
+        EditPoint("nobody", "X", "1"),
+        EditPoint("G03", "role", "1"),
+        SwitchRole("nobody"),
+        SortBy("points", "nothing"),
+        SortBy("nowhere", "name"),
+    ],
+)
 def test_what_is_not_there_changes_nothing(solved: State, action: object) -> None:
     assert update(solved, action) is solved  # type: ignore[arg-type]
 
@@ -76,7 +84,7 @@ def test_rows_sort_up_down_and_as_in_the_file(solved: State) -> None:
     by_residual = rows_of(update(solved, SortBy("points", "w")), "points")[0]
     known = [r.values["w"] for r in by_residual if r.values["w"] == r.values["w"]]
     assert known == sorted(known) and len(known) < len(by_residual)
-    assert all(np.isnan(r.values["w"]) for r in by_residual[len(known):])
+    assert all(np.isnan(r.values["w"]) for r in by_residual[len(known) :])
 
 
 def test_names_sort_as_people_count() -> None:

@@ -89,12 +89,16 @@ def table_html(state: State, table: str, wire: Wire) -> str:
     draw = {"points": _point_cells, "images": _image_cells, "orientations": _orientation_cells}[table]
     body = "".join(
         f'<tr data-row="{esc(row.name)}" style="{"font-weight:600;background:rgba(128,128,128,.18);" if row.chosen else ""}">'
-        f"{draw(row, columns, wire)}</tr>" for row in rows)
+        f"{draw(row, columns, wire)}</tr>"
+        for row in rows
+    )
     more = f"<div {MUTED}>{count - MOST} more: narrow the names shown</div>" if count > MOST else ""
     name = {"points": "Points", "images": "Image list", "orientations": "All orientations"}[table]
-    return (f'<div data-keep="{table}" style="max-height:46vh;overflow:auto"><table aria-label="{name}" style="border-collapse:'
-            f'collapse;font-size:11px;font-variant-numeric:tabular-nums"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
-            f"</div>{more}")
+    return (
+        f'<div data-keep="{table}" style="max-height:46vh;overflow:auto"><table aria-label="{name}" style="border-collapse:'
+        f'collapse;font-size:11px;font-variant-numeric:tabular-nums"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
+        f"</div>{more}"
+    )
 
 
 def _head(table: str, column: Column, sorting: tuple[str, bool] | None, wire: Wire) -> str:
@@ -144,8 +148,15 @@ def _image_cells(row: Row, columns: tuple[Column, ...], wire: Wire) -> str:
     name, v = row.name, row.values
     picture = f'<span class="{thumb_class(name)}" style="display:inline-block;vertical-align:middle;margin-right:5px"></span>'
     button = _button(wire, "fly-image", name, f"choose {name} and fly there", f"images/name/{name}", f"{picture}{esc(name)}")
-    return "".join((_td(button, True), _td(f"{STATUS.get(v['status'], '')} {esc(v['status'])}", True), _td(str(v["n"])),
-                    _td(_number(v["rms_p"], 2)), _td(_number(v["rms_o"], 2))))
+    return "".join(
+        (
+            _td(button, True),
+            _td(f"{STATUS.get(v['status'], '')} {esc(v['status'])}", True),
+            _td(str(v["n"])),
+            _td(_number(v["rms_p"], 2)),
+            _td(_number(v["rms_o"], 2)),
+        )
+    )
 
 
 def _orientation_cells(row: Row, columns: tuple[Column, ...], wire: Wire) -> str:

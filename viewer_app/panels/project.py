@@ -11,7 +11,7 @@ from solvers import PhotogrammetryError
 from solvers.io import write_project
 
 from .. import export, theme
-from ..actions import ChooseImage, Say, Show
+from ..actions import ChooseImage, Saved, Say, Show
 from ..bridge import Wire
 from ..state import MODELS, State
 from ..tabs import Desk, Tab, whole_scene
@@ -90,7 +90,7 @@ class ProjectPanel:
         except (PhotogrammetryError, OSError) as error:
             self._desk.emit(Say(f"The project was not saved: {error}"))
             return
-        self._desk.emit(Say(f"Saved in {state.assets.folder}."))
+        self._desk.emit(Saved(state.block, str(state.assets.folder)))
 
     def _download(self, client: viser.ClientHandle | None, kind: str) -> None:
         if client is None:

@@ -45,7 +45,7 @@ class TracePanel:
     def draw(self, state: State) -> None:
         prop(self._slider, "max", max(state.last_row, 1))
         prop(self._slider, "disabled", state.last_row == 0)
-        put(self._slider, state.row)
+        put(self._slider, state.shown_row)
         put(self._speed, state.speed)
         self._text.set(f"<div {BOX}>{self._rows(state)}{self._plots(state)}</div>")
 
@@ -76,7 +76,7 @@ class TracePanel:
         drawn = []
         for title, name in PLOTS:
             curves = [Curve(m, np.array([getattr(r, name) for r in s.rows], float), COLOURS[m]) for m, s in solutions]
-            drawn.append(plot(title, curves, state.row, state.last_row, button))
+            drawn.append(plot(title, curves, state.shown_row, state.last_row, button))
         return f'<div style="margin-top:6px;display:flex">{"".join(drawn)}</div>'
 
 

@@ -1,0 +1,181 @@
+"""Every control is explained and reachable by keyboard; the state outlives browsers and restarts. Real browser."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+import viser
+
+from tests.browser import ViserPage
+from tests.viewer.sessions import DEMO, HEAVY, Session, camera_path, demo_session, has_pose, settle
+from viewer_app.actions import Show, Step, SwitchPoint
+from viewer_app.app import App
+from viewer_app.bridge import controls
+
+pytestmark = [pytest.mark.browser, pytest.mark.timeout(200)]
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
+    with demo_session(tmp_path_factory.mktemp("commands") / "demo", size=(1150, 760)) as made:
+        yield made
+
+
+@pytest.fixture(autouse=True)
+def nothing_goes_wrong(session: Session) -> Iterator[None]:
+    yield
+    app, v = session
+    settle(app, v)
+    assert v.log.errors == [] and v.log.external == []
+
+
+def commands(app: App) -> dict[str, Any]:
+    return {h.label: h for h in app.server.gui._command_handle_from_uuid.values()}  # type: ignore[attr-defined]
+
+
+def palette(v: ViserPage, words: str) -> None:
+    """Run a command as people do: Ctrl+K, some letters, Enter."""
+    v.hotkey("Control+k")
+    box = v.page.get_by_placeholder("Search").or_(v.page.locator("input[type=search]")).first
+    box.wait_for()
+    box.fill(words)
+    v.page.get_by_text(words, exact=True).last.wait_for()
+    v.page.keyboard.press("Enter")
+
+
+def test_every_control_has_a_label_and_a_hint_and_every_number_a_unit(session: Session) -> None:
+    app, _ = session
+    seen = 0
+    for handle in controls(app.server.gui):
+        props: Any = handle._impl.props  # type: ignore[attr-defined]
+        if props.label == "wire":
+            continue
+        seen += 1
+        assert props.label.strip() and props.hint and len(props.hint) > 10, props.label
+        if isinstance(handle, viser.GuiSliderHandle | viser.GuiNumberHandle):
+            said = f"{props.label} {props.hint}"
+            assert any(u in said for u in ("×", "m", "px", "°", "row", "%", "second", "image")), props.label
+    assert seen > 40
+
+
+def test_every_control_has_a_command(session: Session) -> None:
+    app, _ = session
+    words = " | ".join(commands(app))
+    for handle in controls(app.server.gui):
+        props: Any = handle._impl.props  # type: ignore[attr-defined]
+        if props.label != "wire" and not isinstance(handle, viser.GuiTextHandle | viser.GuiUploadButtonHandle):
+            assert props.label in words, props.label
+
+
+def test_the_palette_steps_and_switches(session: Session) -> None:
+    app, v = session
+    palette(v, "First row")
+    v.wait_until(lambda: app.state.row == 0, "the first row")
+    before = app.state.view.rays
+    palette(v, "Rays: on or off")
+    v.wait_until(lambda: app.state.view.rays is not before, "the rays")
+    v.open_tab("Scene")
+    assert v.page.get_by_label("Rays", exact=True).is_checked() is not before
+    app.emit(Show("rays", before))
+    palette(v, "Image: next")
+    v.wait_until(lambda: app.state.image != app.state.block.images[0].name, "the next image")
+    palette(v, "Residuals ×: more")
+    v.wait_until(lambda: app.state.view.vectors > 200, "longer vectors")
+    palette(v, "Last row")
+    v.wait_until(lambda: app.state.row == app.state.last_row, "the last row")
+
+
+def test_a_dozen_edits_are_undone_and_redone_by_key(session: Session) -> None:
+    app, v = session
+    before = app.state.work.block
+    names = app.state.control()[:6]
+    for name in (*names, *names):
+        app.emit(SwitchPoint(name))
+    v.wait_until(lambda: len(app.state.past) >= 12, "the edits")
+    for _ in range(11):
+        v.hotkey("Control+z")
+    v.wait_until(lambda: app.state.work.off == {names[0]}, "eleven edits taken back")
+    v.hotkey("Control+z")
+    v.wait_until(lambda: not app.state.work.off and app.state.work.block is before, "all taken back")
+    for _ in range(6):
+        v.hotkey("Control+y")
+    v.wait_until(lambda: app.state.work.off == set(names), "six brought back")
+    for _ in range(6):
+        v.hotkey("Control+z")
+    v.wait_until(lambda: not app.state.work.off, "all taken back")
+
+
+def test_leaving_and_coming_back_loses_nothing(session: Session) -> None:
+    app, v = session
+    app.emit(Step("first"))
+    name = app.state.control()[0]
+    app.emit(SwitchPoint(name))
+    settle(app, v)
+    state = app.state
+    v.page.reload()
+    v.wait_connected()
+    v.wait_nodes(camera_path(app))
+    v.wait_until(lambda: has_pose(app, v, camera_path(app)), "the frustum")
+    assert app.state is state and name in app.state.work.off
+    v.wait_until(lambda: v.page.locator(f"tr[data-point='{name}']").inner_text().startswith("☐"), "the point's row")
+    v.dismiss_notifications()
+    v.hotkey("Control+z")
+    app.emit(Step("last"))
+
+
+@contextlib.contextmanager
+def another_page(v: ViserPage, port: int) -> Iterator[ViserPage]:
+    """A further page in the same browser."""
+    page = v.page.context.new_page()
+    try:
+        page.set_viewport_size({"width": 900, "height": 600})
+        page.set_default_timeout(60_000)
+        page.goto(f"http://127.0.0.1:{port}/?fixedDpr=1")
+        other = ViserPage(page, v.log)
+        other.wait_connected()
+        yield other
+    finally:
+        page.close()
+        v.page.bring_to_front()
+
+
+def test_a_restart_reconnects_and_restores_the_state(
+    session: Session, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    folder = tmp_path_factory.mktemp("restart") / "demo"
+    shutil.copytree(DEMO, folder, ignore=shutil.ignore_patterns("runs"))
+    first = App(folder)
+    try:
+        with another_page(session[1], first.port) as v:
+            for name in HEAVY:
+                first.emit(Show(name, False))
+            settle(first, v)
+            point = first.state.control()[1]
+            first.emit(SwitchPoint(point))
+            first.emit(Show("rays", False))
+            settle(first, v)
+            first.emit(Step("first"))
+            settle(first, v)
+            before = first.state
+            first.close()
+            with App(folder, port=first.port) as second:
+                assert second.port == first.port
+                v.wait_until(lambda: len(second.server.get_clients()) == 1, "the browser to come back", 60)
+                settle(second, v)
+                now = second.state
+                assert (
+                    now.work.off == before.work.off == {point} and now.view == before.view and len(now.past) == len(before.past)
+                )
+                assert now.row == 0 and now.image == before.image
+                v.wait_until(lambda: has_pose(second, v, camera_path(second)), "the frustum", 60)
+                one, two = before.solution("perspective"), now.solution("perspective")
+                assert one and two and one.orientation and two.orientation
+                assert (one.orientation.exterior.vector == two.orientation.exterior.vector).all()
+                v.hotkey("Control+z")
+                v.wait_until(lambda: not second.state.work.off, "undo after the restart")
+    finally:
+        first.close()

@@ -1,0 +1,237 @@
+"""What a stranger at the socket may do: nothing that the page itself could not. Raw messages, no browser."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+import viser
+import websockets
+from websockets.asyncio.client import connect
+
+from tests.viewer.conftest import make_state
+from viewer_app.app import App
+from viewer_app.bridge import MAX_UPLOAD, controls
+from viewer_app.panels.project import project_html
+from viewer_app.panels.tables import point_table
+from viewer_app.state import State
+
+COUNT = itertools.count()
+CAMERA = {
+    "type": "ViewerCameraMessage",
+    "wxyz": [1, 0, 0, 0],
+    "position": [0, 0, 0],
+    "fov": 1.0,
+    "near": 0.1,
+    "far": 10.0,
+    "image_height": 10,
+    "image_width": 10,
+    "look_at": [0, 0, 1],
+    "up_direction": [0, 0, 1],
+}
+
+
+def speak(app: App, messages: Sequence[dict[str, Any] | bytes]) -> None:
+    """Send messages as a page would, and wait until the last is taken; a socket that is closed on us is opened again."""
+    mark = labelled(app, "Names")
+    todo: list[dict[str, Any] | bytes] = [*messages, update(mark, value=f"taken {next(COUNT)}")]
+    last = todo[-1]["updates"]["value"]  # type: ignore[index]
+
+    async def talk() -> None:
+        while todo:
+            try:
+                protocol = websockets.Subprotocol("viser-v" + viser.__version__)
+                address = f"ws://127.0.0.1:{app.port}/"
+                async with connect(address, subprotocols=[protocol], max_size=None, close_timeout=0.2) as ws:
+                    await asyncio.wait_for(ws.recv(), 10)
+                    await ws.send(msgspec.msgpack.encode(CAMERA))
+                    while todo:
+                        for message in todo[:100]:
+                            await ws.send(message if isinstance(message, bytes) else msgspec.msgpack.encode(message))
+                        del todo[:100]
+                        await asyncio.sleep(0)
+                    for _ in range(500):
+                        if mark.value == last:
+                            return
+                        await asyncio.sleep(0.02)
+                        await ws.ping()
+            except websockets.exceptions.ConnectionClosed:
+                if not todo and mark.value != last:
+                    todo.append(update(mark, value=last))
+
+    asyncio.run(talk())
+    assert mark.value == last
+
+
+def update(handle: Any, **updates: Any) -> dict[str, Any]:
+    return {"type": "GuiUpdateMessage", "uuid": handle._impl.uuid, "updates": updates}
+
+
+def labelled(app: App, label: str) -> Any:
+    return next(h for h in controls(app.server.gui) if h._impl.props.label == label)  # type: ignore[attr-defined]
+
+
+@pytest.fixture(scope="module")
+def app() -> Any:
+    with App(make_state()) as made:
+        yield made
+
+
+def test_a_control_takes_only_what_it_offers(app: App) -> None:
+    speed, image, rays, names = (labelled(app, label) for label in ("Rows per second", "Image", "Rays", "Names"))
+    before = [h.value for h in (speed, image, rays, names)]
+    wrong = [update(speed, value=v) for v in (1e308, -1, "2", None, [], True, math.nan)]
+    wrong += [update(image, value=v) for v in ("../../etc/passwd", 3, None, ["left"])]
+    wrong += [update(rays, value=v) for v in ("yes", 1, None)] + [update(names, value=v) for v in ("x" * 5000, 1, None)]
+    speak(app, wrong)
+    assert [h.value for h in (speed, image, rays)] == before[:-1] and names.value.startswith("taken")
+    speak(app, [update(speed, value=3.5), update(image, value="right")])
+    assert speed.value == 3.5 and image.value == "right"
+
+
+def test_nobody_reaches_into_a_control(app: App) -> None:
+    rays = labelled(app, "Rays")
+    callbacks = list(rays._impl.update_cb)
+    speak(app, [update(rays, update_cb=[]), update(rays, removed=True), update(rays, value=False, is_button=True), update(rays)])
+    assert rays._impl.update_cb == callbacks and not rays._impl.removed and not rays._impl.is_button and rays.value is True
+
+
+def test_a_tunnel_cannot_be_asked_for(app: App, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: Any, **__: Any) -> None:
+        raise AssertionError("a tunnel was asked for")
+
+    monkeypatch.setattr("viser._tunnel.ViserTunnel.__init__", refuse)
+    speak(app, [{"type": "ShareUrlRequest"}])
+    assert app.server.request_share_url() is None
+
+
+def upload(handle: Any, size: int, parts: int, name: str = "../../x.sh") -> list[dict[str, Any] | bytes]:
+    start = {
+        "type": "FileTransferStartUpload",
+        "source_component_uuid": handle._impl.uuid,
+        "transfer_uuid": "t",
+        "filename": name,
+    }
+    start |= {"mime_type": "x", "part_count": parts, "size_bytes": size}
+    each = {"type": "FileTransferPart", "source_component_uuid": handle._impl.uuid, "transfer_uuid": "t", "content": b"0" * 1000}
+    return [start, *({**each, "part_index": i} for i in range(parts))]
+
+
+def test_uploads_are_capped_and_go_nowhere_else(app: App) -> None:
+    gui: Any = app.server.gui
+    speak(app, upload(labelled(app, "Rays"), 3000, 3))  # not a control for files
+    assert not gui._current_file_upload_states
+    button = gui.add_upload_button("A file", hint="For this test.")
+    speak(app, upload(button, MAX_UPLOAD + 1, 3))
+    speak(app, upload(button, 1500, 3))  # more than announced
+    assert not gui._current_file_upload_states and not button.value.content
+    speak(app, upload(button, 3000, 3))
+    assert len(button.value.content) == 3000
+    button.remove()
+
+
+def mutated(rng: np.random.Generator, message: dict[str, Any]) -> dict[str, Any] | bytes:
+    """The message with something in it replaced; now and then its bytes damaged."""
+    strange = (
+        None,
+        -1,
+        1e308,
+        math.nan,
+        math.inf,
+        "",
+        "x" * 300,
+        "../../etc/passwd",
+        [],
+        {},
+        True,
+        [[1]],
+        b"\xff\x00",
+        "<img src=x>",
+        2**63,
+    )
+    chance = rng.random()
+    if chance < 0.003:  # closes the socket on us
+        data = bytearray(msgspec.msgpack.encode(message))
+        data[rng.integers(len(data))] = rng.integers(256)
+        return bytes(data)
+    if "updates" not in message:
+        return message
+    if chance < 0.01:
+        return {**message, ("uuid", "updates")[rng.integers(2)]: strange[rng.integers(len(strange))]}
+    value = strange[rng.integers(len(strange))]
+    name = ("value", "value", "value", "removed", "update_cb", "is_button", "props")[rng.integers(7)]
+    return {**message, "updates": {name: value} if chance < 0.7 else {**message["updates"], name: value}}
+
+
+def count_arrivals(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Grows by one for every message that arrives; many that were sent are lost with a socket that an earlier one closed."""
+    from viser.infra._messages import Message
+
+    arrived: list[int] = []
+    honest = Message.deserialize.__func__  # type: ignore[attr-defined]
+
+    def deserialize(cls: Any, message: bytes) -> Any:
+        arrived.append(len(message))
+        return honest(cls, message)
+
+    monkeypatch.setattr(Message, "deserialize", classmethod(deserialize))
+    return arrived
+
+
+def test_ten_thousand_mutated_messages_leave_the_server_alive_and_the_state_valid(
+    app: App, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(17)
+    handles = controls(app.server.gui)
+    seeds = [update(h, value=h.value) for h in handles if not isinstance(h, viser.GuiUploadButtonHandle)]  # type: ignore[attr-defined]
+    seeds += [{"type": "GuiButtonHoldMessage", "uuid": "x", "frequency": 10.0}, {"type": "ShareUrlRequest"}]
+    seeds += [{"type": "CommandTriggerMessage", "uuid": "x"}, {**CAMERA, "fov": math.nan, "position": [math.inf, 0, 0]}]
+    kinds = {id(h): type(h.value) for h in handles}  # type: ignore[attr-defined]
+    arrived = count_arrivals(monkeypatch)
+    for _ in range(200):
+        speak(app, [mutated(rng, seeds[rng.integers(len(seeds))]) for _ in range(300)])
+        if len(arrived) >= 10_000:
+            break
+    assert len(arrived) >= 10_000
+    app._actions.join()
+    state = app.state
+    assert app._loop.is_alive() and state.work.off <= set(state.block.points.names)
+    assert state.image in ("left", "right") and 0 <= state.row and state.point in (None, *state.block.points.names)
+    assert all(type(h.value) is kinds[id(h)] for h in controls(app.server.gui))  # type: ignore[attr-defined]
+    speak(app, [update(labelled(app, "Image"), value="left"), update(labelled(app, "Image"), value="right")])
+    app._actions.join()
+    assert app.state.image == "right"
+
+
+def hostile() -> State:
+    """A project whose names are HTML."""
+    from dataclasses import replace
+
+    state = make_state()
+    evil = '<img src=x onerror="alert(1)">'
+    points = replace(state.block.points, names=(evil, *state.block.points.names[1:]), group=(evil, *state.block.points.group[1:]))
+    block = replace(
+        state.block, name=evil, points=points, images=(replace(state.block.images[0], name=evil), state.block.images[1])
+    )
+    return replace(state, work=replace(state.work, block=block), image=evil, point=evil, message=evil)
+
+
+def test_names_of_a_project_are_text_wherever_they_are_shown() -> None:
+    from viewer_app.panels.compare import advice_html, solutions_table
+    from viewer_app.panels.lists import table_html
+    from viewer_app.panels.photo import photo_html
+    from viewer_app.panels.tables import orientation_table, words
+
+    state = hostile()
+    with App(state) as made:
+        wire = made._wire
+        texts = [project_html(state, wire), point_table(state, wire), words(state), photo_html(state, wire)]
+        texts += [orientation_table(state), advice_html(state), solutions_table(state)]
+        texts += [table_html(state, name, wire) for name in ("points", "images", "orientations")]
+    assert sum("&lt;img" in t for t in texts) >= 5 and not [t for t in texts if "<img src=x" in t]

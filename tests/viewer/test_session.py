@@ -1,0 +1,163 @@
+"""The session: a state comes back identical from its JSON, undo and redo included; a damaged or foreign one does no harm."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.viewer.sessions import DEMO
+from viewer_app.acting import update
+from viewer_app.actions import (
+    Aim,
+    ChooseImage,
+    ChoosePoint,
+    Clicking,
+    Place,
+    Plot,
+    Redo,
+    Set,
+    Show,
+    Speed,
+    Step,
+    SwitchPoint,
+    Undo,
+)
+from viewer_app.actions_points import EditPoint, SwitchRole
+from viewer_app.keeping import NAME, Keeper, resume
+from viewer_app.lists import SortBy, Tables
+from viewer_app.loading import open_project
+from viewer_app.session import fingerprint, from_json, to_json
+from viewer_app.state import State, Work
+
+EDITS = (
+    EditPoint("G03", "Z", "7.25"),
+    SwitchRole("G04"),
+    SwitchPoint("G02"),
+    Set("robust", True),
+    EditPoint("G05", "sX", "0.001"),
+    ChoosePoint("G06"),
+    Aim(100.25, 200.75),
+    Place(),
+    SwitchPoint("G07"),
+    Undo(),
+    Show("rays", False),
+    Show("vectors", 123.5),
+    Speed(7.5),
+    SortBy("points", "Z"),
+    Clicking("monoplot"),
+    Plot(50.0, 60.0),
+    ChoosePoint("G08"),
+    Step("first"),
+)
+
+
+def opened(folder: Path) -> State:
+    return open_project(folder)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("session") / "demo"
+    shutil.copytree(DEMO, made, ignore=shutil.ignore_patterns("runs"))
+    return made
+
+
+@pytest.fixture(scope="module")
+def edited(folder: Path) -> State:
+    state = opened(folder)
+    other = state.block.images[-1].name
+    for action in (ChooseImage(other), *EDITS):
+        state = update(state, action)
+    return replace(state, follow=False)
+
+
+def same_work(a: Work, b: Work) -> bool:
+    p, q, o, r = a.block.points, b.block.points, a.block.observations, b.block.observations
+    arrays = ((p.xyz, q.xyz), (p.sigma, q.sigma), (o.image, r.image), (o.point, r.point), (o.pixel, r.pixel), (o.sigma, r.sigma))
+    equal = all(np.array_equal(x, y, equal_nan=x.dtype.kind == "f") for x, y in arrays)
+    return equal and (p.names, p.role, p.group, a.off, a.settings) == (q.names, q.role, q.group, b.off, b.settings)
+
+
+def same(a: State, b: State) -> bool:
+    names = ("image", "view", "point", "row", "follow", "speed", "mark", "click", "spots")
+    choices = all(getattr(a, n) == getattr(b, n) for n in names)
+    if (len(a.past), len(a.future)) != (len(b.past), len(b.future)):
+        return False
+    works = [(a.work, b.work), *zip(a.past, b.past, strict=True), *zip(a.future, b.future, strict=True)]
+    return choices and a.room(Tables) == b.room(Tables) and all(same_work(x, y) for x, y in works)
+
+
+def test_a_state_comes_back_identical(folder: Path, edited: State) -> None:
+    fresh = opened(folder)
+    text = json.dumps(to_json(edited, fresh.block), allow_nan=False)
+    back = from_json(fresh, json.loads(text))
+    assert len(edited.past) == 6 and len(edited.future) == 1 and same(back, edited) and not same(back, fresh)
+    assert same(update(back, Undo()), update(edited, Undo())) and same(update(back, Redo()), update(edited, Redo()))
+    assert len({w.revision for w in (back.work, *back.past, *back.future)}) == 8 and back.next_revision > back.work.revision
+
+
+def test_a_hundred_edits_are_undone_after_a_restart(folder: Path) -> None:
+    fresh = opened(folder)
+    state = fresh
+    for i in range(120):
+        state = update(state, EditPoint("G03", "Z", f"{i}"))
+    back = from_json(fresh, json.loads(json.dumps(to_json(state, fresh.block))))
+    for _ in range(120):
+        back = update(back, Undo())
+    assert np.array_equal(back.block.points.xyz, fresh.block.points.xyz) and update(back, Undo()).message == "Nothing to undo."
+
+
+def test_the_session_is_found_beside_the_project(folder: Path, edited: State) -> None:
+    keeper = Keeper(folder, opened(folder).block, lambda: edited)
+    keeper.changed()
+    keeper.close()
+    assert same(resume(opened(folder)), edited)
+    (folder / NAME).unlink()
+    assert same(resume(opened(folder)), opened(folder))
+
+
+def test_edits_are_left_out_where_the_files_have_changed(folder: Path, edited: State) -> None:
+    fresh = opened(folder)
+    said = to_json(edited, fresh.block)
+    moved = update(fresh, EditPoint("G01", "X", "5.0"))
+    changed = replace(fresh, work=Work(moved.block))
+    assert fingerprint(moved.block) != fingerprint(fresh.block)
+    back = from_json(changed, said)
+    assert back.block is moved.block and back.view == edited.view and back.image == edited.image
+    assert "have changed" in back.message
+
+
+def damaged(said: Any, rng: np.random.Generator) -> Any:
+    """The same with one thing in it replaced."""
+    if isinstance(said, dict) and said and rng.random() < 0.9:
+        key = list(said)[rng.integers(len(said))]
+        return {**said, key: damaged(said[key], rng)}
+    if isinstance(said, list) and said and rng.random() < 0.9:
+        at = int(rng.integers(len(said)))
+        return [*said[:at], damaged(said[at], rng), *said[at + 1 :]]
+    return [None, -1, 1e308, "x", [], {}, True, [[1]], "../../etc/passwd"][rng.integers(9)]
+
+
+def test_a_damaged_session_opens_the_project_all_the_same(folder: Path, edited: State) -> None:
+    fresh, rng = opened(folder), np.random.default_rng(5)
+    said = json.loads(json.dumps(to_json(edited, fresh.block)))
+    for _ in range(400):
+        back = from_json(fresh, damaged(said, rng))
+        block = back.block
+        names = block.points.names
+        assert block.camera_of(back.image) and back.point in (None, *names) and back.work.off <= set(names)
+        assert len(block.points.xyz) == len(block.points.names) == len(block.points.role) and 0 <= back.view.vectors <= 1e5
+        assert (block.observations.image < len(block.images)).all() and back.row >= 0
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{", '{"version": 99}', "[" * 100000, "null"])
+def test_a_file_that_is_no_session_is_left_alone(folder: Path, text: str) -> None:
+    (folder / NAME).write_text(text, encoding="utf-8")
+    assert same(resume(opened(folder)), opened(folder))
+    (folder / NAME).unlink()

@@ -1,0 +1,61 @@
+"""Every control in the command palette, made from the controls themselves: what has no command of its own gets one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import viser
+
+from .bridge import controls, operate
+
+
+def complete(gui: viser.GuiApi, labels: set[str]) -> None:
+    """Commands for the controls whose label is not among those there are."""
+    for handle in controls(gui):
+        label = getattr(handle._impl.props, "label", None)
+        if label is None or label == "wire":
+            continue
+        for words, step in _steps(handle, label):
+            if words in labels:
+                continue
+            labels.add(words)
+            hint = getattr(handle._impl.props, "hint", None)
+            gui.add_command(words, description=hint).on_trigger(_act(gui, handle, step))
+
+
+def _steps(handle: Any, label: str) -> list[tuple[str, Any]]:
+    """What can be done with a control: words and a function of its handle that gives the new value."""
+    props = handle._impl.props
+    if isinstance(handle, viser.GuiButtonGroupHandle):
+        return [(f"{label}: {option}", lambda h, option=option: option) for option in props.options]
+    if isinstance(handle, viser.GuiUploadButtonHandle):
+        return []
+    if handle._impl.is_button:
+        return [(label, lambda h: True)]
+    if isinstance(handle, viser.GuiCheckboxHandle):
+        return [(f"{label}: on or off", lambda h: not h.value)]
+    if isinstance(handle, viser.GuiDropdownHandle):
+        return [(f"{label}: next", _next)]
+    if isinstance(handle, viser.GuiSliderHandle):
+        return [(f"{label}: more", lambda h: _stepped(h, 1)), (f"{label}: less", lambda h: _stepped(h, -1))]
+    return []
+
+
+def _next(handle: Any) -> str:
+    options = tuple(handle._impl.props.options)
+    return options[(options.index(handle.value) + 1) % len(options)]
+
+
+def _stepped(handle: Any, way: int) -> float:
+    """A twentieth of the range further, at least one step, within the range."""
+    props = handle._impl.props
+    size = max(props.step, round((props.max - props.min) / 20 / props.step) * props.step)
+    return type(handle.value)(min(max(handle.value + way * size, props.min), props.max))
+
+
+def _act(gui: viser.GuiApi, handle: Any, step: Any) -> Any:
+    async def act(event: viser.CommandEvent) -> None:
+        if event.client_id is not None and not handle._impl.removed:
+            await operate(gui, handle, step(handle), event.client_id)
+
+    return act

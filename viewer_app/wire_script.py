@@ -1,0 +1,108 @@
+"""The page's side of the wire: what a click, a key, a drag and typing in the viewer's own HTML send."""
+
+SCRIPT = """
+window.collinea = (() => {
+  let count = 0;
+  const send = (kind, value) => window.__viserMutable.sendMessage(
+    {type: 'GuiUpdateMessage', uuid: UUID, updates: {value: JSON.stringify([kind, value, Date.now() + '-' + count++])}});
+  const press = ev => { ev.stopPropagation(); const e = ev.currentTarget; send(e.dataset.kind, e.dataset.value); };
+  const find = name => [...document.querySelectorAll('[data-focus]')].find(e => e.dataset.focus === name);
+  const step = (e, by) => {
+    const row = e.closest('tr'), column = e.dataset.focus?.split('/').slice(0, 2).join('/');
+    const next = by > 0 ? row?.nextElementSibling : row?.previousElementSibling;
+    const to = next && [...next.querySelectorAll('[data-focus]')].find(f => f.dataset.focus.startsWith(column + '/'));
+    if (to) { to.focus(); to.scrollIntoView({block: 'nearest'}); }
+    return !!to;
+  };
+  const arrows = ev => {
+    const by = {ArrowDown: 1, ArrowUp: -1}[ev.key];
+    if (by && ev.currentTarget.dataset.focus) { ev.preventDefault(); ev.stopPropagation(); step(ev.currentTarget, by); }
+  };
+  const key = ev => {
+    if (ev.key === 'Enter' || ev.key === ' ') { ev.preventDefault(); press(ev); } else arrows(ev);
+  };
+  // what is typed, the focus and scroll positions outlive the HTML being drawn anew
+  const scrolled = {}, typing = {};
+  let focus = null, left = 0;  // left: when somebody last went elsewhere; a box taken off the page speaks up too
+  const leaving = () => performance.now() - left < 300;
+  const change = ev => { if (leaving()) commit(ev); };
+  const commit = ev => {
+    const e = ev.currentTarget;
+    if (e.value === e.defaultValue) return;
+    delete typing[e.dataset.focus];
+    e.defaultValue = e.value;
+    send(e.dataset.kind, JSON.stringify([...JSON.parse(e.dataset.value), e.value]));
+  };
+  const typed = ev => {
+    const e = ev.currentTarget;
+    ev.stopPropagation();
+    if (ev.key === 'Enter') commit(ev);
+    else if (ev.key === 'Escape') { e.value = e.defaultValue; delete typing[e.dataset.focus]; }
+    else arrows(ev);
+  };
+  document.addEventListener('scroll', ev => {
+    const name = ev.target?.dataset?.keep;
+    if (name) scrolled[name] = [ev.target.scrollLeft, ev.target.scrollTop];
+  }, true);
+  document.addEventListener('focusin', ev => { focus = ev.target?.dataset?.focus ?? null; }, true);
+  document.addEventListener('pointerdown', ev => {
+    left = performance.now();
+    if (!ev.target?.closest?.('[data-focus]')) focus = null;
+  }, true);
+  document.addEventListener('keydown', ev => { if (ev.key === 'Tab') left = performance.now(); }, true);
+  document.addEventListener('input', ev => {
+    if (ev.target?.dataset?.focus) typing[ev.target.dataset.focus] = ev.target.value;
+  }, true);
+  document.addEventListener('focusout', ev => { if (leaving()) delete typing[ev.target?.dataset?.focus]; }, true);
+  new MutationObserver(records => {
+    if (!records.some(r => r.addedNodes.length)) return;
+    for (const e of document.querySelectorAll('[data-keep]')) {
+      const to = scrolled[e.dataset.keep];
+      if (to && (e.scrollLeft !== to[0] || e.scrollTop !== to[1])) { e.scrollLeft = to[0]; e.scrollTop = to[1]; }
+    }
+    if (focus === null || (document.activeElement && document.activeElement !== document.body)) return;
+    const name = focus, e = find(name);
+    if (!e) return;
+    const words = typing[name];
+    e.focus({preventScroll: true});
+    if (words !== undefined && e.value !== words) { e.value = words; typing[name] = words; }
+  }).observe(document.body, {childList: true, subtree: true});
+  const clamp = t => Math.min(1, Math.max(0, t));
+  const place = (ev, r) => [clamp((ev.clientX - r.left) / r.width), clamp((ev.clientY - r.top) / r.height)];
+  let dragged = false;
+  const point = ev => {
+    const e = ev.currentTarget;
+    if (!dragged) send(e.dataset.kind, place(ev, e.getBoundingClientRect()));
+  };
+  const down = ev => {
+    if (ev.button !== 0) return;
+    ev.preventDefault();
+    dragged = false;
+    const kind = ev.currentTarget.dataset.kind, r = ev.currentTarget.getBoundingClientRect(), from = place(ev, r);
+    let box = null;
+    const move = e => {
+      const to = place(e, r), far = Math.hypot(e.clientX - ev.clientX, e.clientY - ev.clientY) > 5;
+      if (!box && !far) return;
+      dragged = true;
+      if (!box) {
+        box = document.body.appendChild(document.createElement('div'));
+        box.style.cssText = 'position:fixed;z-index:10000;pointer-events:none;border:1.5px solid #fff;outline:1.5px dashed #000';
+      }
+      const at = (i, size, start) => [start + size * Math.min(from[i], to[i]), size * Math.abs(from[i] - to[i])];
+      [[box.style.left, box.style.width], [box.style.top, box.style.height]] =
+        [at(0, r.width, r.left), at(1, r.height, r.top)].map(p => p.map(v => v + 'px'));
+    };
+    const up = e => {
+      removeEventListener('pointermove', move, true);
+      removeEventListener('pointerup', up, true);
+      removeEventListener('pointercancel', up, true);
+      if (box) box.remove();
+      if (dragged && e.type === 'pointerup') send(kind + '-box', [...from, ...place(e, r)]);
+    };
+    addEventListener('pointermove', move, true);
+    addEventListener('pointerup', up, true);
+    addEventListener('pointercancel', up, true);
+  };
+  return {press, key, change, typed, point, down};
+})();
+"""
