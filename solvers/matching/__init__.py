@@ -7,9 +7,10 @@ from .patches import Photo, prepare
 from .problem import LsmProblem, lsm_problem
 from .result import LsmResult, NccResult, Status
 from .search import predict, tie_points
+from .stepped import Patches, Stepped, match_stepped
 from .targets import TargetOptions, Targets, find_targets
 from .ties import Store, TieOptions, TiePair, TiePhoto, Ties
 
-__all__ = ["LsmOptions", "LsmProblem", "LsmResult", "NccResult", "Photo", "Status", "Store", "TargetOptions", "Targets",
-           "TieOptions", "TiePair", "TiePhoto", "Ties", "find_targets", "lsm_problem", "match_lsm", "match_ncc", "number_targets",
+__all__ = ["LsmOptions", "LsmProblem", "LsmResult", "NccResult", "Patches", "Photo", "Status", "Stepped", "Store", "TargetOptions", "Targets",
+           "TieOptions", "TiePair", "TiePhoto", "Ties", "find_targets", "lsm_problem", "match_lsm", "match_ncc", "match_stepped", "number_targets",
            "predict", "prepare", "tie_points"]

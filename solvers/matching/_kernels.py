@@ -299,6 +299,14 @@ def _count(keep):
 
 
 @helper
+def _bits(keep):
+    bits = 0
+    for p in range(6):
+        bits += keep[p] << p
+    return bits
+
+
+@helper
 def _choose(normal, variance, gain, half, keep, cofactor):
     """Drop, worst first, the shaping parameters that would move the window's edge by more than 0.5 px (1 sigma)."""
     while True:
@@ -321,7 +329,7 @@ def match_batch(template, target, at, start, shape, half, taps, extra, noise, li
     template, target: spline coefficients; at, start (N, 2) col, row; shape (N, 2, 2) template -> target offsets.
     taps: the node values' smoothing kernel; noise: value energy, slope energy, laplacian energy of white noise, quantum.
     limits: iterations, step px, largest sigma px, least score, largest move px.
-    out (N, 16): col, row, a11, a12, a21, a22, r0, r1, score, vxx, vxy, vyy, noise, iterations, kept, status.
+    out (N, 16): col, row, a11, a12, a21, a22, r0, r1, score, vxx, vxy, vyy, noise, iterations, kept (a bit for each of the six), status.
     """
     side = 2 * half + 1
     n = side * side
@@ -459,7 +467,7 @@ def match_batch(template, target, at, start, shape, half, taps, extra, noise, li
         result[13] = iteration
         result[0], result[1], result[2], result[3], result[4], result[5] = x, y, a11, a12, a21, a22
         result[6], result[7], result[8] = mean - ratio * mean_other, ratio, score
-        result[14] = _count(keep)
+        result[14] = _bits(keep)
         if status == OK and score < limits[3]:
             status = LOW_SCORE
         if status != OK:

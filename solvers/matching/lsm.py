@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..compiled import kernels
 from . import batch
 from .ncc import match_ncc
 from .patches import SMOOTH, Photo, smoothing
@@ -98,8 +99,7 @@ def _better(best: np.ndarray, rival: np.ndarray, gap: float) -> np.ndarray:
 def _adjust(template: Photo, target: Photo, at: np.ndarray, start: np.ndarray, matrices: np.ndarray, half: int,
             options: LsmOptions, workers: int) -> np.ndarray:
     """(N, 16) rows of the compiled batch."""
-    from ._kernels import match_batch
-
+    match_batch = kernels("solvers.matching._kernels", "image matching").match_batch
     gains = smoothing(template.smooth)
     quantum = max(template.quantum, target.quantum)
     noise = (gains.value, gains.slope, gains.laplacian, gains.extra_value, quantum**2 / 12)
@@ -118,6 +118,7 @@ def _result(rows: np.ndarray, origin: np.ndarray) -> LsmResult:
     status = rows[:, _STATUS].astype(int)
     known = np.where((status == Status.OK)[:, None], rows[:, :13], np.nan)
     covariance = known[:, [9, 10, 10, 11]].reshape(-1, 2, 2)
+    free = (np.nan_to_num(rows[:, _KEPT]).astype(int)[:, None] >> np.arange(6)) & 1 == 1
     return LsmResult(
         pixel=known[:, :2] + origin,
         sigma=np.sqrt(np.einsum("naa->na", covariance)),
@@ -128,5 +129,6 @@ def _result(rows: np.ndarray, origin: np.ndarray) -> LsmResult:
         radiometric=known[:, 6:8] - [0, 1],
         noise=known[:, 12],
         iterations=rows[:, _ITERATIONS].astype(int),
-        kept=rows[:, _KEPT].astype(int),
+        kept=free.sum(1),
+        free=free,
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..compiled import kernels
 from . import batch
 from .patches import SMOOTH, Photo, smoothing
 from .result import NccResult, Status
@@ -36,18 +37,18 @@ def match_ncc(template_image: np.ndarray | Photo, target_image: np.ndarray | Pho
     reach = int(np.ceil(half * np.abs(np.linalg.inv(matrices)).sum(2).max(initial=1.0))) + 2
     template, corner = batch.cut(template_image, at, reach, smooth)
     target, origin = batch.cut(target_image, start, margin, smooth)
-    from ._kernels import RIVALS, correlate_batch
-
+    compiled = kernels("solvers.matching._kernels", "image matching")
+    peaks = compiled.RIVALS
     gap = 2 * np.sqrt(2 / (window**2 * smoothing(target.smooth).value))  # two sigmas of Fisher's z, independent values only
-    out = np.full((len(at), 5 + 3 * RIVALS), np.nan)
+    out = np.full((len(at), 5 + 3 * peaks), np.nan)
 
     def kernel(part: slice) -> None:
-        correlate_batch(template.coefficients, target.coefficients, at[part] - corner, start[part] - origin, matrices[part],
+        compiled.correlate_batch(template.coefficients, target.coefficients, at[part] - corner, start[part] - origin, matrices[part],
                         half, search, threshold, RIVAL, gap, out[part])
 
     batch.spread(kernel, len(at), workers)
     status, score = out[:, 3].astype(int), out[:, 2]
-    rivals = out[:, 5:].reshape(-1, RIVALS, 3)
+    rivals = out[:, 5:].reshape(-1, peaks, 3)
     second = np.where(np.isfinite(rivals[:, 0, 2]), rivals[:, 0, 2], -1.0)
     apart = np.arctanh(np.clip(score, -1, 1 - 1e-9)) - np.arctanh(np.clip(second, -1 + 1e-9, 1 - 1e-9))
     same = (second > uniqueness * score) | (apart < gap)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -20,15 +20,19 @@ class LsmProblem:
     """f(x0, y0) = r0 + (1 + r1) g(a1 + a2 x0 + a3 y0, b1 + b2 x0 + b3 y0), (x0, y0) px from the window's centre.
 
     template (side, side) grey values f; target: the other photo. x is (8,), in the order of `NAMES`.
+    free: which of them are adjusted; the shaping ones count in the template's axes, so that with `base` (2, 2), the shape at the
+    start, a change d of them makes base @ (I + d): what a window cannot determine does not depend on how it is turned.
     Reference: Gruen 1985, eq. 9 with the factors x0, y0 of its shaping columns.
     """
 
     template: np.ndarray
     target: Photo
+    free: tuple[bool, ...] = (True,) * 8
+    base: np.ndarray = field(default_factory=lambda: np.eye(2))
 
     @property
     def dof(self) -> int:
-        return self.template.size - 8
+        return self.template.size - sum(self.free)
 
     def offsets(self) -> tuple[np.ndarray, np.ndarray]:
         """x0, y0 (side, side) px."""
@@ -52,24 +56,29 @@ class LsmProblem:
         return np.zeros(0)
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
-        """(side^2, 8) derivatives of the warped window."""
+        """(side^2, free) derivatives of the warped window."""
         x0, y0 = self.offsets()
         g, gx, gy = spline(self.target, *self.places(x))
         gx, gy = (1 + x[7]) * gx, (1 + x[7]) * gy
-        columns = (gx, gx * x0, gx * y0, gy, gy * x0, gy * y0, np.ones_like(g), g)
-        return np.stack([c.ravel() for c in columns], 1)
+        u, v = gx * self.base[0, 0] + gy * self.base[1, 0], gx * self.base[0, 1] + gy * self.base[1, 1]
+        columns = (gx, u * x0, u * y0, gy, v * x0, v * y0, np.ones_like(g), g)
+        return np.stack([c.ravel() for c in columns], 1)[:, list(self.free)]
 
     def normal(self, x: np.ndarray) -> Dense:
         j = self.jacobian(x)
         return Dense(j.T @ j, j.T @ (self.template - self.warped(x)).ravel())
 
     def retract(self, x: np.ndarray, dx: np.ndarray) -> np.ndarray:
-        return x + dx
+        d = np.zeros(8)
+        d[list(self.free)] = dx
+        shape = self.base @ d[[1, 2, 4, 5]].reshape(2, 2)
+        return x + np.array([d[0], *shape[0], d[3], *shape[1], *d[6:]])
 
 
 def lsm_problem(template_image: np.ndarray | Photo, target_image: np.ndarray | Photo, at: np.ndarray, start: np.ndarray,
-                window: int = 21, shape: np.ndarray | None = None, smooth: float = SMOOTH) -> tuple[LsmProblem, np.ndarray]:
-    """The problem and its start x0 for one point; arguments as in `match_lsm`.
+                window: int = 21, shape: np.ndarray | None = None, smooth: float = SMOOTH,
+                free: np.ndarray | None = None) -> tuple[LsmProblem, np.ndarray]:
+    """The problem and its start x0 for one point; arguments as in `match_lsm`, free (6,) the geometric parameters adjusted.
 
     Raises DegenerateGeometry when the template window leaves its image.
     """
@@ -79,7 +88,8 @@ def lsm_problem(template_image: np.ndarray | Photo, target_image: np.ndarray | P
     f = spline(prepare(template_image, smooth), col + u, row + v)[0]
     if not np.isfinite(f).all():
         raise DegenerateGeometry(f"the template window at {col:g}, {row:g} leaves the image or its data: choose another point")
-    problem = LsmProblem(f, prepare(target_image, smooth))
+    kept = (True,) * 8 if free is None else (*(bool(k) for k in free), True, True)
+    problem = LsmProblem(f, prepare(target_image, smooth), kept, matrix)
     return problem, np.array([x, *matrix[0], y, *matrix[1], 0.0, 0.0])
 
 

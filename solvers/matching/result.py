@@ -49,7 +49,8 @@ class LsmResult:
     """Least squares matches of N points. pixel (N, 2) col, row in the target image, NaN where not found;
     sigma (N, 2) px and covariance (N, 2, 2) px^2, from the noise left in the residuals; score (N,) correlation after the
     adjustment; status (N,) `Status`; shape (N, 2, 2) template -> target offsets; radiometric (N, 2) r0, r1 of
-    f = r0 + (1 + r1) g; noise (N,) grey values of the difference; iterations (N,); kept (N,) geometric parameters used."""
+    f = r0 + (1 + r1) g; noise (N,) grey values of the difference; iterations (N,); kept (N,) how many of the six geometric
+    parameters were adjusted, free (N, 6) which: position and shaping by u, v of col, the same of row, in the template's axes."""
 
     pixel: np.ndarray
     sigma: np.ndarray
@@ -61,6 +62,7 @@ class LsmResult:
     noise: np.ndarray
     iterations: np.ndarray
     kept: np.ndarray
+    free: np.ndarray
 
     @property
     def ok(self) -> np.ndarray:
