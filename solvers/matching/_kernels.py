@@ -329,7 +329,8 @@ def match_batch(template, target, at, start, shape, half, taps, extra, noise, li
     template, target: spline coefficients; at, start (N, 2) col, row; shape (N, 2, 2) template -> target offsets.
     taps: the node values' smoothing kernel; noise: value energy, slope energy, laplacian energy of white noise, quantum.
     limits: iterations, step px, largest sigma px, least score, largest move px.
-    out (N, 16): col, row, a11, a12, a21, a22, r0, r1, score, vxx, vxy, vyy, noise, iterations, kept (a bit for each of the six), status.
+    out (N, 16): col, row, a11, a12, a21, a22, r0, r1, score, vxx, vxy, vyy, noise, iterations, kept (bits),
+    status.
     """
     side = 2 * half + 1
     n = side * side

@@ -43,8 +43,8 @@ def match_ncc(template_image: np.ndarray | Photo, target_image: np.ndarray | Pho
     out = np.full((len(at), 5 + 3 * peaks), np.nan)
 
     def kernel(part: slice) -> None:
-        compiled.correlate_batch(template.coefficients, target.coefficients, at[part] - corner, start[part] - origin, matrices[part],
-                        half, search, threshold, RIVAL, gap, out[part])
+        compiled.correlate_batch(template.coefficients, target.coefficients, at[part] - corner, start[part] - origin,
+                                 matrices[part], half, search, threshold, RIVAL, gap, out[part])
 
     batch.spread(kernel, len(at), workers)
     status, score = out[:, 3].astype(int), out[:, 2]

@@ -300,13 +300,32 @@ def predict(first: np.ndarray, second: np.ndarray, at: np.ndarray, options: TieO
             ) -> tuple[np.ndarray, np.ndarray] | None:
     """Where a point (2,) px of one photo should be in another, by their features, and how offsets around it map there (2, 2);
     None where the photos share too little."""
+    common = shared(first, second, options)
+    return None if common is None else common.predict(at)[:2]
+
+
+class Shared(NamedTuple):
+    """What two photos share: features (M, 2) px of the first and of the second, and the homography first -> second near them."""
+
+    first: np.ndarray
+    second: np.ndarray
+    homography: np.ndarray
+
+    def predict(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """Place (2,) px in the second photo of a point (2,) of the first, how offsets around it map there (2, 2), and how far
+        around the place one should search [px]."""
+        place, reach = _predicted(self.homography, at[None], self.first, self.second, 1.0)
+        return place[0], derivative(self.homography, at[None])[0], float(reach)
+
+
+def shared(first: np.ndarray, second: np.ndarray, options: TieOptions | None = None) -> Shared | None:
+    """What two photos share by their features, verified by their geometry; None where that is too little."""
     o = options or TieOptions()
     a, b = (find_features(image, o.feature, o.count, o.side, o.equalise) for image in (first, second))
     common = _compare((a, b, None, None), o)
     if not len(common.features):
         return None
-    place, _ = _predicted(common.homography, at[None], a.pixel[common.features[:, 0]], b.pixel[common.features[:, 1]], 1.0)
-    return place[0], derivative(common.homography, at[None])[0]
+    return Shared(a.pixel[common.features[:, 0]], b.pixel[common.features[:, 1]], common.homography)
 
 
 # -- tracks to references and back --------------------------------------------------------------------------------------------

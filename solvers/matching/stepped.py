@@ -1,4 +1,4 @@
-"""One match to be looked at: the correlation over its search window, every iteration of the least squares matching, the result."""
+"""One match to be looked at: the correlation over its search window, every iteration of least squares matching, the result."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ class Patches(NamedTuple):
 
 @dataclass(frozen=True)
 class Stepped:
-    """One match with all between. at (2,) px in the template's photo; start (2,) where it was looked for; surface (2 search + 1)^2
-    correlations, its middle at `middle` (2,) px, NaN where undefined; ncc, lsm: results of one point; problem and rows: the
+    """One match with all between. at (2,) px in the template's photo; start (2,) where it was looked for; surface (2 search +
+    1)^2 correlations, its middle at `middle` (2,) px, NaN where undefined; ncc, lsm: results of one point; problem and rows: the
     least squares matching as iterated from the correlation's best place, None and () where there was none to start from."""
 
     at: np.ndarray
