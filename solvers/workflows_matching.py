@@ -176,9 +176,12 @@ def read_by_name(name: str, paths: dict[str, Path]) -> np.ndarray:
     return read_photo(paths[name])
 
 
-def _tie_project(folder: Path, out: Path | str | None, options: TieOptions | None, workers: int, scheduler: str | None,
-                 report: Callable[[Progress], object] | None) -> Tied:
-    block = read_project(folder)
+def ties_of_block(block: Block, folder: Path, options: TieOptions | None = None, *, workers: int = 1,
+                  scheduler: str | None = None, report: Callable[[Progress], object] | None = None) -> tuple[Block, Ties]:
+    """The block of a project folder with tie points of its photos, in place of earlier ones found so; nothing is written.
+
+    What is done is kept in the folder's runs, to go on after an interruption. Raises PhotogrammetryError.
+    """
     images = [i for i in block.images if i.file is not None]
     if len(images) < 2:
         raise BadProject(f"{folder}: {len(images)} of its images have photos; tie points need two and more")
@@ -187,11 +190,17 @@ def _tie_project(folder: Path, out: Path | str | None, options: TieOptions | Non
     store = ArrayFolder(folder / "runs" / "tiepoints-kept")
     ties = tie_points(photos, partial(read_by_name, paths=paths), options, workers=workers, scheduler=scheduler, store=store,
                       report=report)
-    pixel = _to_format(ties, block)
+    return _with_ties(block, ties, images, _to_format(ties, block)), ties
+
+
+def _tie_project(folder: Path, out: Path | str | None, options: TieOptions | None, workers: int, scheduler: str | None,
+                 report: Callable[[Progress], object] | None) -> Tied:
+    block = read_project(folder)
+    new, ties = ties_of_block(block, folder, options, workers=workers, scheduler=scheduler, report=report)
     if out is not None:
-        _write_ties(Path(out), ties, pixel)
+        _write_ties(Path(out), ties, _to_format(ties, block))
         return Tied(ties, Path(out))
-    write_tables(_with_ties(block, ties, images, pixel), folder)
+    write_tables(new, folder)
     return Tied(ties, folder / "observations.csv")
 
 

@@ -1,24 +1,20 @@
-"""What can happen in the Matching tab, and what follows from it; pure. Accepting is an edit like any other: undo brings it back."""
+"""What can happen in the Matching tab, and what follows from it; pure. Accepting is an edit like any other: it can be undone."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from solvers import Block
 from solvers.block import Observations, Points
 from solvers.matching.ties import SIGMA_PX
-from solvers.workflows_conjugate import common_points
 
+from .acting import Action, edit, handles
 from .matching_state import COLOURS, SIDES, Ask, Found, Look, Matching, Network
-from .sighting import sees, where
-
-if TYPE_CHECKING:
-    from .state import State
+from .sighting import exterior_of, sees, where
+from .state import State
 
 SNAP = 0.02
 """Of a pane's width: a click this near to a measured point means that point."""
@@ -27,18 +23,14 @@ CLOSE = 12.0
 WINDOWS = range(7, 64, 2)
 
 
-class MatchAction:
-    """Anything that happens in the Matching tab."""
-
-
 @dataclass(frozen=True)
-class Pair(MatchAction):
+class Pair(Action):
     side: str
     image: str
 
 
 @dataclass(frozen=True)
-class LookAt(MatchAction):
+class LookAt(Action):
     side: str
     col: float
     row: float
@@ -46,7 +38,7 @@ class LookAt(MatchAction):
 
 
 @dataclass(frozen=True)
-class Zoom(MatchAction):
+class Zoom(Action):
     """across changes by the factor; 0: the whole photo."""
 
     side: str
@@ -54,7 +46,7 @@ class Zoom(MatchAction):
 
 
 @dataclass(frozen=True)
-class Click(MatchAction):
+class Click(Action):
     """Left: the template's place. Right: about where it is, when the prediction is wrong."""
 
     side: str
@@ -63,14 +55,14 @@ class Click(MatchAction):
 
 
 @dataclass(frozen=True)
-class MatchPoint(MatchAction):
+class MatchPoint(Action):
     """Which point is matched; None: a new tie point at every click."""
 
     point: str | None
 
 
 @dataclass(frozen=True)
-class Tune(MatchAction):
+class Tune(Action):
     """window, search or threshold."""
 
     name: str
@@ -78,51 +70,51 @@ class Tune(MatchAction):
 
 
 @dataclass(frozen=True)
-class Propose(MatchAction):
+class Propose(Action):
     """Look for the point in all other photos that may see it."""
 
 
 @dataclass(frozen=True)
-class ShowFound(MatchAction):
+class ShowFound(Action):
     index: int
 
 
 @dataclass(frozen=True)
-class MatchRow(MatchAction):
+class MatchRow(Action):
     row: int
 
 
 @dataclass(frozen=True)
-class Accept(MatchAction):
+class Accept(Action):
     """The match in view, or all that were found, become observations."""
 
     all: bool = False
 
 
 @dataclass(frozen=True)
-class Reject(MatchAction):
+class Reject(Action):
     pass
 
 
 @dataclass(frozen=True)
-class ColourTies(MatchAction):
+class ColourTies(Action):
     by: str
 
 
 @dataclass(frozen=True)
-class Start(MatchAction):
+class Start(Action):
     """Long work: "ties" finds tie points in all photos, "adjust" places them by a bundle; "" stops it."""
 
     task: str
 
 
 @dataclass(frozen=True, eq=False)
-class Matched(MatchAction):
+class Matched(Action):
     found: Found
 
 
 @dataclass(frozen=True)
-class Working(MatchAction):
+class Working(Action):
     """How far the long work is; task "" when it ended."""
 
     task: str
@@ -130,7 +122,7 @@ class Working(MatchAction):
 
 
 @dataclass(frozen=True, eq=False)
-class Tied(MatchAction):
+class Tied(Action):
     """Tie points were found: the block `before` with them is `block`."""
 
     before: Block
@@ -139,80 +131,70 @@ class Tied(MatchAction):
 
 
 @dataclass(frozen=True, eq=False)
-class Placed(MatchAction):
+class Placed(Action):
     network: Network
 
 
 @dataclass(frozen=True)
-class Sharper(MatchAction):
+class Sharper(Action):
     """A finer picture of a photo has been read."""
 
 
-Edit = Callable[..., Any]
-
-
-def update_matching(state: State, action: MatchAction, edit: Edit) -> State:
-    """The state after an action of the tab; edit(state, block=...) makes an undoable change."""
-    m = _chosen(state)
+@handles(Pair, LookAt, Zoom, Click, MatchPoint, Tune, Propose, ShowFound, MatchRow, Reject, ColourTies, Start)
+def _said(state: State, action: Action) -> State:
+    m = chosen(state)
     match action:
         case Pair(side, image):
-            return _with(state, _paired(state, m, side, image))
+            m = _paired(state, m, side, image)
         case LookAt() | Zoom():
-            return _with(state, _looked(state, m, action))
+            m = _looked(state, m, action)
         case Click(side, col, row):
-            return _with(state, _clicked(state, m, side, (float(col), float(row))))
-        case MatchPoint(point):
-            return _with(state, _aimed(state, m, point)) if point is None or point in state.block.points.names else state
+            m = _clicked(state, m, side, (float(col), float(row)))
+        case MatchPoint(point) if point is None or point in state.block.points.names:
+            m = _aimed(state, m, point)
         case Tune(name, value):
-            return _with(state, _asked(state, _tuned(m, name, value)))
+            m = _asked(_tuned(m, name, value))
         case Propose():
-            return _with(state, _proposed(state, m))
-        case ShowFound(index):
-            return _with(state, _shown(state, m, index)) if 0 <= index < len(m.found) else state
+            m = _proposed(state, m)
+        case ShowFound(index) if 0 <= index < len(m.found):
+            m = _shown(state, m, index)
         case MatchRow(row):
-            return _with(state, replace(m, row=min(max(int(row), 0), m.last_row)))
-        case Accept(everything):
-            return _accepted(state, m, everything, edit)
+            m = replace(m, row=min(max(int(row), 0), m.last_row))
         case Reject():
-            return _with(state, _dropped(state, m, (m.shown,)))
-        case ColourTies(by):
-            return _with(state, replace(m, colour=by)) if by in COLOURS else state
-        case Start(task):
-            words = "" if task else "Stopped."
-            return _with(state, replace(m, task=task, progress=words)) if task in ("", "ties", "adjust") else state
-        case Matched() | Working() | Tied() | Placed() | Sharper():
-            return _came(state, m, action, edit)
-    return state
+            m = _dropped(state, m, (m.shown,))
+        case ColourTies(by) if by in COLOURS:
+            m = replace(m, colour=by)
+        case Start(task) if task in ("", "ties", "adjust"):
+            m = replace(m, task=task, serial=m.serial + 1, progress="" if task or not m.task else "Stopped.")
+    return state.with_room(m)
 
 
-def _with(state: State, matching: Matching) -> State:
-    return replace(state, matching=matching)
-
-
-def _came(state: State, m: Matching, action: MatchAction, edit: Edit) -> State:
+@handles(Matched, Working, Tied, Placed, Sharper)
+def _came(state: State, action: Action) -> State:
     """Results of work; those that nobody waits for any more are dropped."""
+    m = chosen(state)
     match action:
         case Matched(found) if found.ask in m.asked:
-            rest = tuple(a for a in m.asked if a != found.ask)
-            m = replace(m, asked=rest, found=(*m.found, found))
-            return _with(state, _shown(state, m, len(m.found) - 1) if len(m.found) == 1 else m)
+            m = replace(m, asked=tuple(a for a in m.asked if a != found.ask), found=(*m.found, found))
+            m = _shown(state, m, 0) if len(m.found) == 1 else m
         case Working(task, words) if m.task or not task:
-            return _with(state, replace(m, task=task, progress=words))
-        case Tied(before, block, words):
+            m = replace(m, task=task, progress=words)
+        case Tied(before, block, words) if m.task == "ties":
             if before is not state.block:
-                said = "Points were changed meanwhile: the tie points found are not taken over; find them again."
-                return _with(state, replace(m, task="", progress=said))
-            return _with(edit(state, block=block), replace(m, task="", progress=words))
-        case Placed(network):
-            return _with(state, replace(m, task="", progress=network.words, network=network))
+                words = "Points were changed meanwhile: the tie points found are not taken over; find them again."
+            else:
+                state = edit(state, solve=False, block=block)
+            m = replace(m, task="", progress=words)
+        case Placed(network) if m.task == "adjust":
+            m = replace(m, task="", progress=network.words, network=network)
         case Sharper():
-            return _with(state, replace(m, read=m.read + 1))
-    return state
+            m = replace(m, read=m.read + 1)
+    return state.with_room(m)
 
 
-def _chosen(state: State) -> Matching:
+def chosen(state: State) -> Matching:
     """The tab's state with two photos chosen, as far as there are two."""
-    m, names = state.matching, [i.name for i in state.block.images]
+    m, names = state.room(Matching), [i.name for i in state.block.images]
     first = m.first if m.first in names else state.image
     if m.second in names and m.second != first:
         return m if first == m.first else replace(m, first=first)
@@ -262,8 +244,9 @@ def _clicked(state: State, m: Matching, side: str, at: tuple[float, float]) -> M
     if side not in SIDES or not m.second or not bool(state.block.camera_of(m.image(side)).inside(np.array(at))):
         return m
     if side == "right":
-        return _asked(state, replace(m, start=at)) if m.at is not None else replace(
-            m, message="First click the point in the left photo.")
+        return (
+            _asked(replace(m, start=at)) if m.at is not None else replace(m, message="First click the point in the left photo.")
+        )
     across = m.looks.get(side, whole(state, m.first)).across
     near = _nearest(state, m.first, at, SNAP * across)
     if near is not None:
@@ -273,7 +256,7 @@ def _clicked(state: State, m: Matching, side: str, at: tuple[float, float]) -> M
     else:
         taken = m.point is not None and sees(state, m.first, m.point) is not None
         m = replace(m, at=at, point=None if taken else m.point)
-    return _asked(state, replace(m, start=None))
+    return _asked(replace(m, start=None))
 
 
 def _nearest(state: State, image: str, at: tuple[float, float], reach: float) -> tuple[str, tuple[float, float]] | None:
@@ -290,7 +273,7 @@ def _nearest(state: State, image: str, at: tuple[float, float], reach: float) ->
 
 
 def _aimed(state: State, m: Matching, point: str | None) -> Matching:
-    """The point is to be matched: its own measurement in the left photo is the template, else the panes show where it should be."""
+    """The point is to be matched: its measurement in the left photo is the template, else the panes show where it should be."""
     m = replace(m, point=point, found=(), asked=(), shown=0, row=0, start=None, message="")
     if point is None:
         return replace(m, at=None)
@@ -304,7 +287,7 @@ def _aimed(state: State, m: Matching, point: str | None) -> Matching:
     m = replace(m, looks=looks, at=own)
     if own is None:
         return replace(m, message=f"{point} is not measured in {m.first}: click it there.")
-    return _asked(state, m)
+    return _asked(m)
 
 
 def _tuned(m: Matching, name: str, value: float) -> Matching:
@@ -317,7 +300,7 @@ def _tuned(m: Matching, name: str, value: float) -> Matching:
     return replace(m, threshold=min(max(float(value), 0.3), 0.95)) if name == "threshold" else m
 
 
-def _asked(state: State, m: Matching) -> Matching:
+def _asked(m: Matching) -> Matching:
     """A match of the place that is marked; what was found before is of yesterday."""
     m = replace(m, found=(), asked=(), shown=0, row=0, message="")
     if m.at is None or not m.second:
@@ -330,18 +313,32 @@ def _proposed(state: State, m: Matching) -> Matching:
     if m.at is None:
         return replace(m, message="First click a point in the left photo, or choose one that is measured there.")
     seen = [i.name for i in state.block.images if i.name != m.first and not (m.point and sees(state, i.name, m.point))]
+    if m.point is not None and exterior_of(state, m.first) is not None:  # an oriented photo that does not see it is not asked
+        seen = [name for name in seen if exterior_of(state, name) is None or not _beyond(state, name, m.point)]
     if not seen:
-        return replace(m, message=f"{m.point} is measured in every photo.")
-    asks = tuple(Ask(m.serial + 1 + n, m.first, image, m.at, None, m.point, m.window, m.search, m.threshold)
-                 for n, image in enumerate(sorted(seen, key=lambda name: name != m.second)))
+        return replace(m, message=f"{m.point} is measured in every photo that shows it.")
+    asks = tuple(
+        Ask(m.serial + 1 + n, m.first, image, m.at, None, m.point, m.window, m.search, m.threshold)
+        for n, image in enumerate(sorted(seen, key=lambda name: name != m.second))
+    )
     return replace(m, asked=asks, found=(), shown=0, row=0, start=None, serial=m.serial + len(asks), message="")
+
+
+def _beyond(state: State, image: str, point: str) -> bool:
+    """Whether a point of known coordinates lies outside an oriented photo."""
+    known = state.block.points.xyz[state.block.point_index(point)]
+    return bool(np.isfinite(known).all()) and where(state, image, point) is None
 
 
 def _shown(state: State, m: Matching, index: int) -> Matching:
     """The panes at the template and at the place found, as near as needed to see the window."""
     found = m.found[index]
-    m = replace(m, shown=index, second=found.ask.second, looks=dict(m.looks) if found.ask.second == m.second else
-                {k: v for k, v in m.looks.items() if k == "left"})
+    m = replace(
+        m,
+        shown=index,
+        second=found.ask.second,
+        looks=dict(m.looks) if found.ask.second == m.second else {k: v for k, v in m.looks.items() if k == "left"},
+    )
     m = replace(m, row=m.last_row)
     place = found.pixel if found.pixel is not None else None if found.guess is None else found.guess.place
     if place is None:
@@ -364,28 +361,36 @@ def _dropped(state: State, m: Matching, which: tuple[int, ...]) -> Matching:
     return replace(m, start=None, at=None if new else m.at, message="")
 
 
-def _accepted(state: State, m: Matching, everything: bool, edit: Edit) -> State:
-    which = tuple(n for n, f in enumerate(m.found) if f.ok and (everything or n == m.shown))
+@handles(Accept)
+def _accepted(state: State, action: Accept) -> State:
+    m = chosen(state)
+    which = tuple(n for n, f in enumerate(m.found) if f.ok and (action.all or n == m.shown))
     if not which:
-        return _with(state, replace(m, message="There is nothing to accept: the match was refused."))
-    block = state.block
-    point = m.found[which[0]].ask.point
-    if point is None or point not in block.points.names:
-        point = point or new_name(block)
+        return state.with_room(replace(m, message="There is nothing to accept: the match was refused."))
+    block, point = state.block, m.found[which[0]].ask.point
+    if point is None:
+        point = new_name(block)
         block = with_point(block, point)
     for n in which:
-        found = m.found[n]
-        if sees_in(block, found.ask.first, point) is None:
-            block = with_observation(block, found.ask.first, point, np.array(found.ask.at), SIGMA_PX)
-        pixel, sigma = found.pixel, found.sigma
-        assert pixel is not None and sigma is not None
-        block = with_observation(block, found.ask.second, point, pixel, float(np.hypot(SIGMA_PX, sigma.max())))
+        block = _with_match(block, point, m.found[n])
     images = ", ".join(m.found[n].ask.second for n in which)
-    left = replace(_dropped(state, m, which), message=f"{point} is measured in {images}.")
-    if left.found and any(f.ask.point is None for f in left.found):  # the rest belong to the point just made
-        left = replace(left, point=point, found=tuple(replace(f, ask=replace(f.ask, point=point)) for f in left.found))
+    # What is still to be judged belongs to the point just made.
+    found = tuple(replace(f, ask=replace(f.ask, point=point)) for f in m.found)
     asked = tuple(replace(a, point=point) for a in m.asked)
-    return _with(edit(state, block=block), replace(left, asked=asked))
+    control = block.points.role[block.point_index(point)] == "control"
+    state = edit(state, solve=control, block=block)
+    m = _dropped(state, replace(m, found=found, asked=asked), which)
+    m = replace(m, point=point if m.found or m.asked else m.point, message=f"{point} is measured in {images}.")
+    return state.with_room(m)
+
+
+def _with_match(block: Block, point: str, found: Found) -> Block:
+    """The block with a match as observations of the point: in the first photo where there is none yet, and in the second."""
+    pixel, sigma = found.pixel, found.sigma
+    assert pixel is not None and sigma is not None
+    if sees_in(block, found.ask.first, point) is None:
+        block = with_observation(block, found.ask.first, point, np.array(found.ask.at), SIGMA_PX)
+    return with_observation(block, found.ask.second, point, pixel, float(np.hypot(SIGMA_PX, sigma.max())))
 
 
 def new_name(block: Block) -> str:
@@ -406,8 +411,13 @@ def sees_in(block: Block, image: str, point: str) -> np.ndarray | None:
 def with_point(block: Block, name: str) -> Block:
     """The block with a tie point of unknown coordinates."""
     p, nothing = block.points, np.full((1, 3), np.nan)
-    points = Points((*p.names, name), np.vstack([p.xyz.reshape(-1, 3), nothing]), np.vstack([p.sigma.reshape(-1, 3), nothing]),
-                    (*p.role, "tie"), (*p.group, "") if p.group else ())
+    points = Points(
+        (*p.names, name),
+        np.vstack([p.xyz.reshape(-1, 3), nothing]),
+        np.vstack([p.sigma.reshape(-1, 3), nothing]),
+        (*p.role, "tie"),
+        (*p.group, "") if p.group else (),
+    )
     return replace(block, points=points)
 
 
@@ -415,12 +425,16 @@ def with_observation(block: Block, image: str, point: str, pixel: np.ndarray, si
     """The block in which a point is measured at a pixel (2,) of an image, in place of an earlier measurement."""
     of, i, j = block.observations, block.image_index(image), block.point_index(point)
     stay = ~((of.image == i) & (of.point == j))
-    new = Observations(np.append(of.image[stay], i), np.append(of.point[stay], j),
-                       np.vstack([of.pixel[stay].reshape(-1, 2), np.round(pixel, 4)]), np.append(of.sigma[stay], round(sigma, 4)))
+    new = Observations(
+        np.append(of.image[stay], i),
+        np.append(of.point[stay], j),
+        np.vstack([of.pixel[stay].reshape(-1, 2), np.round(pixel, 4)]),
+        np.append(of.sigma[stay], round(sigma, 4)),
+    )
     return replace(block, observations=new)
 
 
-def heard(value: str) -> MatchAction | None:
+def heard(value: str) -> Action | None:
     """What a pane's message means: "left|look|col|row|across", "left|click|col|row", "left|zoom|factor", "found|2"."""
     side, *parts = value.split("|")
     if side == "found" and len(parts) == 1 and parts[0].isdecimal() and len(parts[0]) < 6:
@@ -441,8 +455,3 @@ def heard(value: str) -> MatchAction | None:
         case "zoom", [factor]:
             return Zoom(side, factor)
     return None
-
-
-__all__ = ["Accept", "Click", "ColourTies", "LookAt", "MatchAction", "MatchPoint", "MatchRow", "Matched", "Pair", "Placed",
-           "Propose", "Reject", "Sharper", "ShowFound", "Start", "Tied", "Tune", "Working", "Zoom", "common_points", "heard",
-           "update_matching", "whole"]

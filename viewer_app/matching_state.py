@@ -46,7 +46,7 @@ class Ask:
 class Found:
     """What came of it. guess, pixel, sigma (2,) are in pixels of the full photo, stepped in those of the windows read from the
     files, whose first pixel is `corner` (2,) of the second file; factor (2,): full pixels per file pixel. error: why nothing was
-    done, else "". """
+    done, else ""."""
 
     ask: Ask
     guess: Guess | None = None

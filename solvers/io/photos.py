@@ -89,6 +89,19 @@ def photo_window(path: Path | str, col: int, row: int, width: int, height: int) 
         return out
 
 
+def photo_values(path: Path | str, col: int, row: int, width: int, height: int) -> np.ndarray:
+    """Part of a photo as it is stored, in its own depth: (height, width) grey or (height, width, 3) colour values.
+
+    The part must lie within the photo. Raises Unsupported.
+    """
+    with _raster(Path(path)) as data:
+        from rasterio.windows import Window
+
+        bands = [1, 2, 3] if data.count >= 3 else [1]
+        part = data.read(bands, window=Window(int(col), int(row), int(width), int(height)))  # type: ignore[call-arg]
+        return np.ascontiguousarray(np.moveaxis(part, 0, -1) if len(bands) == 3 else part[0])
+
+
 def read_photo(path: Path, grey: bool = True) -> np.ndarray:
     """A whole photo at full resolution: uint8 (h, w) grey or (h, w, 3) colour values. Raises Unsupported."""
     with opened(path) as photo:
