@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
 from solvers import Block
@@ -11,6 +9,7 @@ from solvers import Block
 from . import theme
 from .ground import symbol_size
 from .matching_state import COLOURS, Matching, Network
+from .memo import remembered
 from .scene import frustum_depth, prior
 from .state import MODELS, State
 from .theme import Colour
@@ -28,7 +27,7 @@ def tie_colours(state: State) -> dict[int, Colour]:
     return _colours(state.block, state.room(Matching).network, state.room(Matching).colour)
 
 
-@lru_cache(maxsize=4)
+@remembered()
 def _colours(block: Block, network: Network | None, by: str) -> dict[int, Colour]:
     if by not in COLOURS or by == "none":
         return {}
@@ -83,7 +82,7 @@ def scene(state: State) -> Scene:
     return found
 
 
-@lru_cache(maxsize=4)
+@remembered()
 def _cloud(block: Block, network: Network, by: str) -> tuple[np.ndarray, np.ndarray] | None:
     """Positions (n, 3) m and colours (n, 3) uint8 of the tie points placed, None where none is to be drawn."""
     colours = _colours(block, network, by)

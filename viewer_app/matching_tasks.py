@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from .acting import Action
 from .matching_actions import Matched, Placed, Tied, Working
 from .matching_state import Ask, Found, Matching, Network
 from .matching_work import Setting, Sight, adjust_work, match_work, ties_work
+from .memo import remembered
 from .sighting import view_of
 from .spots import ground_of
 from .state import State
@@ -98,7 +98,7 @@ def _ground(state: State) -> Plane | Surface | None:
     return None if network is None or not len(network.xyz) else _plane(network, state.assets.frame)
 
 
-@lru_cache(maxsize=2)
+@remembered(2)
 def _plane(network: Network, frame: LocalFrame) -> Plane:
     heights = frame.to_map(network.xyz)[:, 2]
     middle = float(np.median(heights))

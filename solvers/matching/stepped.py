@@ -29,7 +29,7 @@ class Patches(NamedTuple):
     score: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Stepped:
     """One match with all between. at (2,) px in the template's photo; start (2,) where it was looked for; surface (2 search +
     1)^2 correlations, its middle at `middle` (2,) px, NaN where undefined; ncc, lsm: results of one point; problem and rows: the

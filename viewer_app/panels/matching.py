@@ -29,7 +29,7 @@ from ..pyramid import Pyramid
 from ..state import State
 from ..tabs import Command, Desk, Tab
 from .pair import SCRIPT, Panes
-from .patches import found_html
+from .patches import found_html, headline
 from .widgets import BOX, MUTED, Html, bind, css, esc, prop, put, swatch, table
 
 NEW = "new tie point"
@@ -50,15 +50,8 @@ class MatchingPanel:
         self._right = gui.add_dropdown("Right photo", names, hint="The photo in which the point is looked for.")
         bind(self._left, emit, lambda name: Pair("left", name))
         bind(self._right, emit, lambda name: Pair("right", name))
-        self._width = gui.add_dropdown("Panel", tuple(WIDTHS), hint="How wide this panel is; its edge can be dragged as well.")
-        self._width.on_update(lambda _: gui.main_panel.set_width(WIDTHS[self._width.value]))
         self._panes = Panes(desk.wire, gui, self._pyramid)
         self._words = Html(gui)
-        self._found = Html(gui)
-        self._row = gui.add_slider(
-            "LSM iteration", 0, 1, 1, 0, hint="Row of the least squares matching; row 0 is where correlation put it."
-        )
-        bind(self._row, emit, lambda value: MatchRow(round(value)))
         judge = gui.add_button_group(
             "Verdict", JUDGE, hint="Accept makes the match an observation (key A), Reject forgets it (R)."
         )
@@ -69,9 +62,16 @@ class MatchingPanel:
             if judge.value in verdicts:
                 emit(verdicts[judge.value])
 
+        self._found = Html(gui)
+        self._row = gui.add_slider(
+            "LSM iteration", 0, 1, 1, 0, hint="Row of the least squares matching; row 0 is where correlation put it."
+        )
+        bind(self._row, emit, lambda value: MatchRow(round(value)))
         self._options(desk)
         self._proposals = Html(gui)
         self._ties(desk)
+        self._width = gui.add_dropdown("Panel", tuple(WIDTHS), hint="How wide this panel is; its edge can be dragged as well.")
+        self._width.on_update(lambda _: gui.main_panel.set_width(WIDTHS[self._width.value]))
 
     def _options(self, desk: Desk) -> None:
         gui, emit = desk.gui, desk.emit
@@ -132,7 +132,7 @@ class MatchingPanel:
         put(self._left, m.first or self._left.options[0])
         put(self._right, m.second or self._right.options[0])
         self._panes.draw(state, m)
-        self._words.set(words(state, m))
+        self._words.set(words(m))
         self._found.set(found_html(m))
         prop(self._row, "visible", m.last_row > 0)
         prop(self._row, "max", max(m.last_row, 1))
@@ -159,14 +159,17 @@ class MatchingPanel:
         self._pyramid.close()
 
 
-def words(state: State, m: Matching) -> str:
-    """What to do next, or what was said last."""
-    if m.message:
-        return f"<div {BOX}>{esc(m.message)}</div>"
-    if m.at is None and m.second:
+def words(m: Matching) -> str:
+    """What came of it, what was said last, or what to do next."""
+    said = f"<div>{esc(m.message)}</div>" if m.message else ""
+    if m.current is not None:
+        return f"<div {BOX}>{headline(m.current)}{said}</div>"
+    if m.asked:
+        return f"<div {BOX}>Matching {esc(m.asked[0].first)} with {esc(m.asked[0].second)} …</div>"
+    if not said and m.second:
         keys = f"<span {MUTED}>Wheel: zoom · drag: pan · keys on a photo: arrows, +, −</span>"
-        return f"<div {BOX}>Click a point in the left photo. {keys}</div>"
-    return ""
+        said = f"<div>Click a point in the left photo. {keys}</div>"
+    return f"<div {BOX}>{said}</div>" if said else ""
 
 
 def proposals_html(m: Matching, wire: Any) -> str:

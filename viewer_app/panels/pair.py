@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
 from solvers import Block
@@ -13,6 +11,7 @@ from ..bridge import Wire
 from ..matching_actions import whole
 from ..matching_scene import tie_colours
 from ..matching_state import ASPECT, SIDES, Found, Look, Matching
+from ..memo import remembered
 from ..pyramid import Piece, Pyramid
 from ..state import State
 from ..theme import Colour
@@ -96,7 +95,9 @@ def pane_html(state: State, m: Matching, side: str, look: Look, piece: Piece | N
             f'<foreignObject x="{x0}" y="{y0}" width="{x1 - x0}" height="{y1 - y0}"><div style="width:100%;height:100%;'
             f'background:var(--collinea-{side}) 0 0/100% 100%;image-rendering:{sharp}"></div></foreignObject>'
         )
-    shapes = points_svg(state, m, image, look) + (left_svg(m, unit) if side == "left" else right_svg(m, unit))
+    shapes = points_svg(state, m, image, look) + (
+        left_svg(m, unit, file_factor(state, image)) if side == "left" else right_svg(m, unit)
+    )
     buttons = " ".join(
         f'<button type="button" {wire.attributes("pair", f"{side}|zoom|{f:g}", hint)}>{label}</button>'
         for label, f, hint in (
@@ -147,7 +148,7 @@ def ring(col: float, row: float, radius: float, colour: Colour, width: float, na
     )
 
 
-@lru_cache(maxsize=8)
+@remembered(8)
 def _in_view(block: Block, image: str, x: float, y: float, w: float, h: float) -> tuple[int, ...]:
     """Rows of the observations of a photo within a box, evenly thinned where there are very many."""
     of = block.observations
@@ -162,9 +163,15 @@ def _in_view(block: Block, image: str, x: float, y: float, w: float, h: float) -
     return tuple(int(r) for r in seen)
 
 
-def left_svg(m: Matching, unit: float) -> str:
-    """The template: its window with a cross in the middle."""
-    return "" if m.at is None else box(*m.at, m.window, unit, "#ff0") + cross(*m.at, 5 * unit, unit, "#ff0")
+def left_svg(m: Matching, unit: float, factor: float) -> str:
+    """The template: its window with a cross in the middle. factor: full pixels per pixel of the file."""
+    return "" if m.at is None else box(*m.at, m.window * factor, unit, "#ff0") + cross(*m.at, 5 * unit, unit, "#ff0")
+
+
+def file_factor(state: State, image: str) -> float:
+    """Pixels of the camera's format per pixel of the photo's file."""
+    photo = state.assets.photos.get(image)
+    return 1.0 if photo is None else state.block.camera_of(image).width / photo.size[0]
 
 
 def right_svg(m: Matching, unit: float) -> str:

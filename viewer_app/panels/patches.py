@@ -17,14 +17,9 @@ from .widgets import BOX, MUTED, decimals, esc, png, table
 def found_html(m: Matching) -> str:
     """The match in view, at the row shown."""
     now = m.current
-    if m.asked and now is None:
-        return f"<div {BOX}>Matching {esc(m.asked[0].first)} with {esc(m.asked[0].second)} …</div>"
-    if now is None:
+    if now is None or now.stepped is None:
         return ""
-    head = f"<div>{headline(now)}</div>"
-    if now.stepped is None:
-        return f"<div {BOX}>{head}</div>"
-    return f"<div {BOX}>{head}{pictures(now, m.row)}{numbers(now, m.row)}</div>"
+    return f"<div {BOX}>{pictures(now, m.row)}{numbers(now, m.row)}</div>"
 
 
 def headline(found: Found) -> str:
