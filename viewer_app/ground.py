@@ -7,6 +7,7 @@ from functools import lru_cache
 import numpy as np
 
 from . import theme
+from .matching_state import Matching
 from .state import State
 from .values import Label, Mesh, Plane, Scene, Segments
 
@@ -22,10 +23,22 @@ def site(state: State) -> tuple[np.ndarray, np.ndarray]:
     xyz = state.assets.frame.to_local(state.block.points.xyz)
     xyz = xyz[np.isfinite(xyz).all(axis=1)]
     if not len(xyz):
+        xyz = _instead(state)
+    if not len(xyz):
         return np.full(3, -10.0), np.full(3, 10.0)
     low, high = xyz.min(axis=0), xyz.max(axis=0)
     room = np.array([1.0, 1.0, 0.0]) * max(float((high - low)[:2].max()) * 0.06, 1e-3)
     return low - room, high + room
+
+
+def _instead(state: State) -> np.ndarray:
+    """Places (n, 3) m where no point is known: tie points as a bundle placed them, else where the photos were taken from."""
+    network = state.room(Matching).network
+    if network is not None and len(network.xyz):
+        low, high = np.percentile(network.xyz, [1, 99], axis=0)
+        return network.xyz[((network.xyz >= low) & (network.xyz <= high)).all(axis=1)]
+    priors = [i.prior.centre for i in state.block.images if i.prior is not None and i.prior.centre is not None]
+    return state.assets.frame.to_local(np.array(priors, float).reshape(-1, 3)) if priors else np.empty((0, 3))
 
 
 def ground(state: State, vectors: float) -> Scene:
@@ -42,6 +55,7 @@ def ground(state: State, vectors: float) -> Scene:
     else:
         xyz = state.assets.frame.to_local(state.block.points.xyz)
         heights = xyz[np.isfinite(xyz).all(axis=1), 2]
+        heights = heights if len(heights) else _instead(state)[:, 2]
         given = state.assets.level
         level = given if given is not None else float(heights.mean()) if len(heights) else 0.0
         level -= lowered(state)

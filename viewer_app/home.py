@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .ground import site
+from .matching_state import Matching
 from .scene import prior
 from .state import MODELS, State
 
@@ -17,6 +18,8 @@ def home(state: State) -> tuple[np.ndarray, np.ndarray, float]:
         for i in state.block.images
         if (e := state.exterior(MODELS[0], i.name) or state.assets.truth.get(i.name) or prior(state, i.name)) is not None
     ]
+    network = state.room(Matching).network
+    centres += [] if network is None else [e.centre for e in network.exteriors.values()]
     corners = np.vstack([low, high, *centres])
     low, high = corners.min(axis=0), corners.max(axis=0)
     middle, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)

@@ -29,9 +29,17 @@ def open_project(folder: Path | str) -> State:
     """The state a project opens with, read in a moment; what takes longer comes from `bring`. Raises BadProject, BadTable."""
     folder = Path(folder)
     block = read_project(folder)
-    frame = LocalFrame.around(block.points.xyz, block.crs, block.frame)
+    frame = LocalFrame.around(_somewhere(block), block.crs, block.frame)
     assets = Assets(folder, frame, level=_level(block.surface, frame), truth=_truth(read_truth(folder), frame))
     return first_state(State(Work(block), assets, block.images[0].name if block.images else ""))
+
+
+def _somewhere(block: Any) -> np.ndarray:
+    """Known points (n, 3) m of a project; where there are none, the places its photos are said to be taken from."""
+    if np.isfinite(block.points.xyz).all(axis=1).any():
+        return block.points.xyz
+    centres = [i.prior.centre for i in block.images if i.prior is not None and i.prior.centre is not None]
+    return np.array(centres, float).reshape(-1, 3)
 
 
 def first_state(state: State) -> State:

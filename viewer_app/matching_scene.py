@@ -7,7 +7,7 @@ import numpy as np
 from solvers import Block
 
 from . import theme
-from .ground import symbol_size
+from .ground import nice, symbol_size
 from .matching_state import COLOURS, Matching, Network
 from .memo import remembered
 from .scene import frustum_depth, prior
@@ -17,8 +17,8 @@ from .values import Frustum, Label, PointCloud, Scene
 
 RAYS = {2: (230, 159, 0), 3: (86, 180, 233), 4: (0, 158, 115), 5: (240, 228, 66)}
 """Colours of points by how many photos see them, 5 and more alike (Okabe & Ito 2008)."""
-SCALE = np.array([(13, 8, 135), (126, 3, 168), (204, 71, 120), (248, 149, 64), (240, 249, 33)], float)
-"""Colours of residuals from none to the legend's largest, dark to bright (plasma; Smith & van der Walt 2015)."""
+SCALE = np.array([(86, 180, 233), (240, 228, 66), (213, 94, 0)], float)
+"""Colours of residuals from none to the legend's largest: sky blue, yellow, vermilion, seen on photos and on either ground."""
 UNKNOWN: Colour = theme.INITIAL
 
 
@@ -63,8 +63,8 @@ def scene(state: State) -> Scene:
         return found
     cloud = _cloud(state.block, network, m.colour)
     if cloud is not None:
-        found["/ties/points"] = PointCloud(*cloud, 0.5 * symbol_size(state))
-    depth = frustum_depth(state)
+        found["/ties/points"] = PointCloud(*cloud, 0.3 * symbol_size(state))
+    depth = max(frustum_depth(state), _depth(network))
     for image in state.block.images:
         exterior = network.exteriors.get(image.name)
         others = prior(state, image.name) or any(state.exterior(model, image.name) for model in MODELS)
@@ -80,6 +80,15 @@ def scene(state: State) -> Scene:
         if state.view.labels:
             found[f"{path}/label"] = Label(image.name, exterior.centre + np.array([0, 0, 0.35 * depth]), 0.9, "bottom-center")
     return found
+
+
+@remembered(2)
+def _depth(network: Network) -> float:
+    """Depth (m) at which image planes are drawn: a twelfth of the way to the tie points."""
+    if not len(network.xyz) or not network.exteriors:
+        return 0.0
+    middle = np.median(network.xyz, axis=0)
+    return nice(max(0.08 * float(np.median([np.linalg.norm(e.centre - middle) for e in network.exteriors.values()])), 1e-3))
 
 
 @remembered()

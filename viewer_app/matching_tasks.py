@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +44,12 @@ def tasks(state: State) -> tuple[Task, ...]:
     if m.task == "adjust":
         found.append(
             Task(
-                ("adjust", m.serial), adjust_work, (block, state.assets.frame), _placed, _stopped, "the bundle of the tie points"
+                ("adjust", m.serial),
+                adjust_work,
+                (block, state.assets.frame),
+                lambda value: _placed(block, value),
+                _stopped,
+                "the bundle of the tie points",
             )
         )
     return tuple(found)
@@ -109,8 +115,8 @@ def _tied(before: Block, value: str | tuple[Block, str]) -> Action:
     return Working("ties", value) if isinstance(value, str) else Tied(before, *value)
 
 
-def _placed(value: str | Network) -> Action:
-    return Working("adjust", value) if isinstance(value, str) else Placed(value)
+def _placed(block: Block, value: str | Network) -> Action:
+    return Working("adjust", value) if isinstance(value, str) else Placed(replace(value, block=block))
 
 
 def _stopped(why: str) -> Action:

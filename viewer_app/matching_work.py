@@ -206,7 +206,7 @@ def adjust_work(block: Block, frame: LocalFrame) -> Iterator[str | Network]:
         for name, v in zip(o.points, o.residuals, strict=True):
             square.setdefault(name, []).append(float(v @ v))
     points = [p for p in done.points if np.isfinite(p.xyz).all()]
-    more = "".join(f" {w[:1].upper()}{w[1:]}." for w in done.warnings[:2])
+    more = "".join(f" {w[:1].upper()}{w[1:]}." for w in done.warnings[:1])
     words = (
         f"Bundle ({datum}): {len(done.orientations)} photos, {len(points)} points, rms {done.rms_px:.2f} px"
         f"{'' if done.trace.converged else ', NOT converged'}.{more}"

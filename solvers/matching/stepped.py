@@ -16,7 +16,7 @@ from .patches import SMOOTH, Photo, prepare
 from .problem import LsmProblem, lsm_problem, spline
 from .result import LsmResult, NccResult, Status
 
-STEPS = Options(max_iterations=30, step_tolerance=1e-3)
+STEPS = Options(max_iterations=30, step_tolerance=0.02)  # standard deviations, at a noise of 1 grey value
 
 
 class Patches(NamedTuple):
