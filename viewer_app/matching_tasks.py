@@ -39,6 +39,7 @@ def tasks(state: State) -> tuple[Task, ...]:
                 lambda value: _tied(block, value),
                 _stopped,
                 "the search for tie points",
+                "ties",
             )
         )
     if m.task == "adjust":
@@ -50,6 +51,7 @@ def tasks(state: State) -> tuple[Task, ...]:
                 lambda value: _placed(block, value),
                 _stopped,
                 "the bundle of the tie points",
+                "ties",
             )
         )
     return tuple(found)

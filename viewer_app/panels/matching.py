@@ -53,7 +53,7 @@ class MatchingPanel:
         self._panes = Panes(desk.wire, gui, self._pyramid)
         self._words = Html(gui)
         judge = gui.add_button_group(
-            "Verdict", JUDGE, hint="Accept makes the match an observation (key A), Reject forgets it (R)."
+            "Verdict", JUDGE, hint="Accept makes the match an observation (key A), Reject forgets it (X)."
         )
         verdicts: dict[str, Action] = dict(zip(JUDGE, (Accept(), Reject(), Undo(), Redo()), strict=True))
 
@@ -226,7 +226,7 @@ TAB = Tab(
     heard={"pair": _heard},
     commands=(
         Command("Accept the match", Accept(), "A", hint="The match in view becomes an observation."),
-        Command("Reject the match", Reject(), "R", hint="Forget the match in view."),
+        Command("Reject the match", Reject(), "X", hint="Forget the match in view."),
         Command("Propose in the other photos", Propose(), hint="Look for the point in every photo."),
     ),
 )
