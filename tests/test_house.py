@@ -30,6 +30,7 @@ MAY_IMPORT = {
     "dask": r"solvers/execution\.py",
     "distributed": r"solvers/execution\.py",
     "matplotlib": r"solvers/(report(_\w+)?|studies(/\w+)?)\.py",
+    "threadpoolctl": r"solvers/adjustment/fronts\.py",
     "typst": r"solvers/report_pdf\.py",
     "jinja2": r"solvers/report_html\.py",
     "numba": r"solvers/(\w+/)*_kernels\.py",

@@ -9,14 +9,20 @@ Takahashi, Fagan & Chin 1973 (the entries of the inverse where the matrix is not
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import cache, cached_property
+from heapq import heappop, heappush
 from typing import Any
 
 import numpy as np
 
 LEAF = 96
 """Nodes that are factored in one piece."""
+WIDE = 2400
+"""Rows of a front from which LAPACK may use several threads; below, waking them costs more than they do."""
 
 
 @dataclass(frozen=True)
@@ -40,49 +46,56 @@ class Front:
 @dataclass(frozen=True)
 class Pattern:
     """Which blocks of a symmetric matrix are not zero. row <= column (b,): nodes of each stored block; every diagonal block is
-    stored. fronts: in the order of elimination, children before parents."""
+    stored. fronts: in the order of elimination, children before parents; threads: how many may work at once."""
 
     count: int
     size: int
     row: np.ndarray
     column: np.ndarray
     fronts: tuple[Front, ...]
+    threads: int = 1
 
     @classmethod
-    def of(cls, count: int, size: int, row: np.ndarray, column: np.ndarray, leaf: int = LEAF) -> Pattern:
-        """Analyse the blocks (row, column) of a matrix of `count` nodes with blocks of size x size."""
-        return cls(count, size, row, column, tuple(_fronts(count, row, column, leaf)))
+    def of(cls, count: int, size: int, row: np.ndarray, column: np.ndarray, leaf: int = LEAF, threads: int = 1) -> Pattern:
+        """Analyse the blocks (row, column) of a matrix of `count` nodes with blocks of size x size; threads may work on it."""
+        return cls(count, size, row, column, tuple(_fronts(count, row, column, leaf)), threads)
+
+    @cached_property
+    def children(self) -> tuple[int, ...]:
+        """How many fronts each front is the parent of."""
+        return tuple(np.bincount([f.parent for f in self.fronts if f.parent >= 0], minlength=len(self.fronts)).tolist())
 
 
 class Factor:
-    """Cholesky factor of a matrix given as blocks (b, size, size) of a pattern.
+    """Cholesky factor of a matrix given as blocks (b, size, size) of a pattern; fronts that do not touch work side by side.
 
     Raises numpy.linalg.LinAlgError where the matrix is not positive definite.
     """
 
     def __init__(self, pattern: Pattern, blocks: np.ndarray) -> None:
-        dpotrf, dtrsm, dsyrk, _ = _lapack()
         self.pattern = pattern
-        self._lower: list[tuple[np.ndarray, np.ndarray]] = []  # L11 and L21 of every front, Fortran order
+        self._lower: list[tuple[np.ndarray, np.ndarray]] = [_NOTHING] * len(pattern.fronts)  # L11, L21 of every front
         waiting: dict[int, list[tuple[Front, np.ndarray]]] = {}
-        for k, front in enumerate(pattern.fronts):
-            a11, a12, a22 = _assembled(pattern, front, blocks, waiting.pop(k, []))
-            l11, info = dpotrf(a11.T, lower=1, overwrite_a=1, clean=1)
-            if info:
-                raise np.linalg.LinAlgError(f"not positive definite at node {front.own[(info - 1) // pattern.size]}")
-            l21 = a12.T
-            if len(front.border):
-                l21 = dtrsm(1.0, l11, l21, side=1, lower=1, trans_a=1, overwrite_b=1)
-                update = dsyrk(-1.0, l21, beta=1.0, c=a22.T, lower=1, overwrite_c=1)
-                waiting.setdefault(front.parent, []).append((front, update.T))
-            self._lower.append((l11, l21))
+
+        def eliminate(k: int) -> None:
+            front = pattern.fronts[k]
+            children = sorted(waiting.pop(k, []), key=lambda c: c[0].own[0])  # one order of adding: the same digits every time
+            self._lower[k], update = _eliminated(pattern, front, blocks, children)
+            if update is not None:
+                waiting.setdefault(front.parent, []).append((front, update))
+
+        _climb(pattern, eliminate)
 
     def solve(self, b: np.ndarray) -> np.ndarray:
         """(n, r) solution of A x = b for right sides (n, r)."""
         from scipy.linalg import solve_triangular
 
-        s, x = self.pattern.size, np.array(b, float)
-        x = x.reshape(self.pattern.count, s, -1)
+        with _blas().limit(limits=1, user_api="blas"):
+            return self._solved(np.array(b, float), solve_triangular).reshape(np.shape(b))
+
+    def _solved(self, b: np.ndarray, solve_triangular: Callable[..., np.ndarray]) -> np.ndarray:
+        s = self.pattern.size
+        x = b.reshape(self.pattern.count, s, -1)
         r = x.shape[2]
         for front, (l11, l21) in zip(self.pattern.fronts, self._lower, strict=True):
             y = solve_triangular(l11, x[front.own].reshape(-1, r), lower=True, check_finite=False)
@@ -94,40 +107,137 @@ class Factor:
             if len(front.border):
                 y = y - l21.T @ x[front.border].reshape(-1, r)
             x[front.own] = solve_triangular(l11, y, lower=True, trans=1, check_finite=False).reshape(-1, s, r)
-        return x.reshape(np.shape(b))
+        return x
 
     def selected_inverse(self) -> np.ndarray:
         """(b, size, size) blocks of the inverse at the places of the pattern's blocks; no other is ever formed for the whole."""
-        _, dtrsm, _, dpotri = _lapack()
         p, s = self.pattern, self.pattern.size
         out = np.empty((len(p.row), s, s))
         kept: dict[int, np.ndarray] = {}
-        children = np.bincount([f.parent for f in p.fronts if f.parent >= 0], minlength=len(p.fronts))
-        for k in range(len(p.fronts) - 1, -1, -1):
-            front, (l11, l21) = p.fronts[k], self._lower[k]
-            n1, n2 = len(front.own) * s, len(front.border) * s
-            z = np.empty((n1 + n2, n1 + n2))
-            inverse, _ = dpotri(l11, lower=1)
-            z[:n1, :n1] = np.tril(inverse) + np.tril(inverse, -1).T
-            if n2:
-                parent = kept[front.parent]
-                index = _expand(front.place, s)
-                z[n1:, n1:] = parent[np.ix_(index, index)]
-                y = dtrsm(1.0, l11, l21, side=1, lower=1)  # L21 L11^-1
-                z[n1:, :n1] = -z[n1:, n1:] @ y
-                z[:n1, n1:] = z[n1:, :n1].T
-                z[:n1, :n1] -= y.T @ z[n1:, :n1]
-                children[front.parent] -= 1
-                if not children[front.parent]:
-                    del kept[front.parent]
-            found = z.reshape(n1 // s + n2 // s, s, -1, s)[front.at[:, 0], :, front.at[:, 1], :]
+
+        def invert(k: int) -> None:
+            front = p.fronts[k]
+            z = _inverted(front, *self._lower[k], kept.get(front.parent), s)
+            found = z.reshape(len(z) // s, s, -1, s)[front.at[:, 0], :, front.at[:, 1], :]
             found[front.flip] = np.swapaxes(found[front.flip], 1, 2)
             out[front.blocks] = found
-            if children[k]:
+            if p.children[k]:
                 kept[k] = z
+
+        _descend(p, invert, lambda k: kept.pop(k, None))
         return out
 
 
+_NOTHING = (np.empty((0, 0)), np.empty((0, 0)))
+
+
+def _eliminated(pattern: Pattern, front: Front, blocks: np.ndarray, children: list[tuple[Front, np.ndarray]],
+                ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray | None]:
+    """L11 and L21 of a front in Fortran order, and what it passes on to its parent."""
+    dpotrf, dtrsm, dsyrk, _ = _lapack()
+    a11, a12, a22 = _assembled(pattern, front, blocks, children)
+    l11, info = dpotrf(a11.T, lower=1, overwrite_a=1, clean=1)
+    if info:
+        raise np.linalg.LinAlgError(f"not positive definite at node {front.own[(info - 1) // pattern.size]}")
+    if not len(front.border):
+        return (l11, a12.T), None
+    l21 = dtrsm(1.0, l11, a12.T, side=1, lower=1, trans_a=1, overwrite_b=1)
+    return (l11, l21), dsyrk(-1.0, l21, beta=1.0, c=a22.T, lower=1, overwrite_c=1).T
+
+
+def _inverted(front: Front, l11: np.ndarray, l21: np.ndarray, parent: np.ndarray | None, size: int) -> np.ndarray:
+    """The inverse over a front's own nodes and its border, from that of its parent."""
+    _, dtrsm, _, dpotri = _lapack()
+    n1, n2 = len(front.own) * size, len(front.border) * size
+    z = np.empty((n1 + n2, n1 + n2))
+    inverse, _ = dpotri(l11, lower=1)
+    z[:n1, :n1] = np.tril(inverse) + np.tril(inverse, -1).T
+    if parent is not None and n2:
+        index = _expand(front.place, size)
+        z[n1:, n1:] = parent[np.ix_(index, index)]
+        y = dtrsm(1.0, l11, l21, side=1, lower=1)  # L21 L11^-1
+        z[n1:, :n1] = -z[n1:, n1:] @ y
+        z[:n1, n1:] = z[n1:, :n1].T
+        z[:n1, :n1] -= y.T @ z[n1:, :n1]
+    return z
+
+
+def _climb(pattern: Pattern, work: Callable[[int], None]) -> None:
+    """work(front) for every front, children before their parent, independent ones at once."""
+    left = list(pattern.children)
+    parents = [f.parent for f in pattern.fronts]
+
+    def ready(k: int) -> list[int]:
+        if (parent := parents[k]) < 0:
+            return []
+        left[parent] -= 1
+        return [parent] if not left[parent] else []
+
+    _together(pattern, work, [k for k, c in enumerate(left) if not c], ready, 1)
+
+
+def _descend(pattern: Pattern, work: Callable[[int], None], release: Callable[[int], object]) -> None:
+    """work(front) for every front, the parent before its children; release(front) when its last child is done."""
+    left = list(pattern.children)
+    below: dict[int, list[int]] = {}
+    for k, front in enumerate(pattern.fronts):
+        below.setdefault(front.parent, []).append(k)
+
+    def ready(k: int) -> list[int]:
+        if (parent := pattern.fronts[k].parent) >= 0:
+            left[parent] -= 1
+            if not left[parent]:
+                release(parent)
+        return below.get(k, [])
+
+    _together(pattern, work, below.get(-1, []), ready, -1)
+
+
+def _together(pattern: Pattern, work: Callable[[int], None], first: Sequence[int], ready: Callable[[int], list[int]],
+              way: int) -> None:
+    """Run work on fronts as they get ready: small ones side by side, wide ones one at a time with LAPACK's own threads.
+
+    way: 1 for the lowest first, -1 for the highest.
+    """
+    size = [(len(f.own) + len(f.border)) * pattern.size for f in pattern.fronts]
+    small: list[int] = []
+    wide: list[int] = []
+
+    def put(fronts: Sequence[int]) -> None:  # the tree's own order keeps the fewest fronts in memory
+        for k in fronts:
+            heappush(wide if size[k] >= WIDE and pattern.threads > 1 else small, k * way)
+
+    put(first)
+    many = pattern.threads > 1 and len(size) > 3
+    with ThreadPoolExecutor(pattern.threads) if many else nullcontext() as pool:
+        while small or wide:
+            with _blas().limit(limits=1, user_api="blas"):
+                running: dict[Future[None], int] = {}
+                while small or running:
+                    while small and len(running) < pattern.threads:
+                        k = abs(heappop(small))
+                        if pool is None:
+                            work(k)
+                            put(ready(k))
+                        else:
+                            running[pool.submit(work, k)] = k
+                    for future in wait(running, return_when=FIRST_COMPLETED).done if running else ():
+                        future.result()
+                        put(ready(running.pop(future)))
+            if wide:
+                k = abs(heappop(wide))
+                work(k)
+                put(ready(k))
+
+
+@cache
+def _blas() -> Any:
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
+
+
+@cache
 def _lapack() -> tuple[Any, Any, Any, Any]:
     """dpotrf, dtrsm, dsyrk, dpotri of scipy."""
     from scipy.linalg import get_blas_funcs, get_lapack_funcs

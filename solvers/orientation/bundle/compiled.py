@@ -70,7 +70,7 @@ class Compiled:
         upper = shared.row <= shared.col
         row, column = shared.row[upper].astype(np.int64), shared.col[upper].astype(np.int64)
         order = np.lexsort((column, row))
-        return Pattern.of(m, 6, row[order], column[order])
+        return Pattern.of(m, 6, row[order], column[order], threads=self.threads)
 
     @cached_property
     def lut(self) -> np.ndarray:
