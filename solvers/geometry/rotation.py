@@ -50,6 +50,19 @@ def exp(d: np.ndarray) -> np.ndarray:
     return np.eye(3) + a * k + b * (k @ k)
 
 
+def exp_many(d: np.ndarray) -> np.ndarray:
+    """(m, 3, 3) rotations of rotation vectors (m, 3) [rad]."""
+    theta2 = (d**2).sum(axis=1)
+    small = theta2 < 1e-10
+    theta = np.sqrt(np.where(small, 1.0, theta2))
+    a = np.where(small, 1 - theta2 / 6, np.sin(theta) / theta)
+    b = np.where(small, 0.5 - theta2 / 24, (1 - np.cos(theta)) / theta**2)
+    k = np.zeros((len(d), 3, 3))
+    k[:, 0, 1], k[:, 0, 2], k[:, 1, 2] = -d[:, 2], d[:, 1], -d[:, 0]
+    k -= np.swapaxes(k, 1, 2)
+    return np.eye(3) + a[:, None, None] * k + b[:, None, None] * (k @ k)
+
+
 def log(m: np.ndarray) -> np.ndarray:
     """Rotation vector (3,) [rad], length at most pi, of a rotation (3, 3), by its quaternion: exact digits up to pi.
 

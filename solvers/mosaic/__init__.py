@@ -1,11 +1,15 @@
 """Mosaics: plane coefficients, registration, orthorectification, composition."""
 
 from .blend import half
+from .checks import check_ties
 from .compose import ComposeOptions, Composition, Job, coarse, compose, composition, render
 from .orthorectify import orthorectify
 from .placed import Placed
+from .plane import PlaneFit, Rectification, coefficients_of, orientation_of, plane_coefficients, rectification
+from .register import RegistrationRequest, register
 from .registration import Registration
 from .surface import Ground, MosaicPlane, fit_plane
 
-__all__ = ["ComposeOptions", "Composition", "Ground", "Job", "MosaicPlane", "Placed", "Registration", "coarse", "compose",
-           "composition", "fit_plane", "half", "orthorectify", "render"]
+__all__ = ["ComposeOptions", "Composition", "Ground", "Job", "MosaicPlane", "Placed", "PlaneFit", "Rectification", "Registration",
+           "RegistrationRequest", "check_ties", "coarse", "coefficients_of", "compose", "composition", "fit_plane", "half",
+           "orientation_of", "orthorectify", "plane_coefficients", "rectification", "register", "render"]

@@ -17,6 +17,7 @@ from ...adjustment.losses import COSTS, LOSSES
 from ...adjustment.schur import Schur
 from ...cameras import project, project_derivatives
 from ...geometry import Exterior
+from ...geometry.rotation import exp_many
 from .compiled import Compiled
 from .datum import Inner, motions
 from .network import Network
@@ -154,19 +155,6 @@ class Bundle:
         v = np.array([p.misclosure(at) for p, at in given]).reshape(-1, 6, 1)
         d = np.array([p.derivatives(at) for p, at in given]).reshape(-1, 6, 6)
         return (roots @ v)[:, :, 0], roots @ d
-
-
-def exp_many(d: np.ndarray) -> np.ndarray:
-    """(m, 3, 3) rotations of rotation vectors (m, 3) [rad]."""
-    theta2 = (d**2).sum(axis=1)
-    small = theta2 < 1e-10
-    theta = np.sqrt(np.where(small, 1.0, theta2))
-    a = np.where(small, 1 - theta2 / 6, np.sin(theta) / theta)
-    b = np.where(small, 0.5 - theta2 / 24, (1 - np.cos(theta)) / theta**2)
-    k = np.zeros((len(d), 3, 3))
-    k[:, 0, 1], k[:, 0, 2], k[:, 1, 2] = -d[:, 2], d[:, 1], -d[:, 0]
-    k -= np.swapaxes(k, 1, 2)
-    return np.eye(3) + a[:, None, None] * k + b[:, None, None] * (k @ k)
 
 
 __all__ = ["DENSE", "Bundle", "exp_many"]

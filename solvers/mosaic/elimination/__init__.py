@@ -1,0 +1,1 @@
+"""Points on the plane eliminated from a block of photos (compiled)."""

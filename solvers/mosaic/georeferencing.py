@@ -1,0 +1,172 @@
+"""From the plane of the reference photo to the map: by control points or by onboard positions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ..errors import DegenerateGeometry
+from ..geometry import LocalFrame
+from .data import Data
+from .models import Exteriors, through
+from .problem import PhotoPriors
+from .simultaneous import Found
+
+
+@dataclass(frozen=True)
+class Placing:
+    """A similarity from the reference photo's plane to the local frame: X' = scale R(turn) X + shift, heights over the plane by
+    the same scale. plane (3,): z0, zx, zy. height: z0. unit, frame: of the result. controlled: something weighted joins the
+    adjustment. by_gps: onboard positions do. datum: of a bundle. pixel: size of a photo's pixel on the mosaic."""
+
+    data: Data
+    scale: float
+    turn: float
+    shift: np.ndarray
+    plane: np.ndarray
+    unit: Literal["m", "px"]
+    frame: LocalFrame
+    controlled: bool
+    by_gps: bool
+    datum: str
+    pixel: float
+    said: tuple[str, ...]
+
+    @property
+    def height(self) -> float:
+        return float(self.plane[0])
+
+    @property
+    def _matrix(self) -> np.ndarray:
+        c, s = self.scale * np.cos(self.turn), self.scale * np.sin(self.turn)
+        return np.array([[c, -s, self.shift[0]], [s, c, self.shift[1]], [0, 0, 1]])
+
+    def homographies(self, h: np.ndarray) -> np.ndarray:
+        """(m, 3, 3) plane -> photo, from the map plane now."""
+        return h @ np.linalg.inv(self._matrix)
+
+    def points(self, xy: np.ndarray) -> np.ndarray:
+        """(n, 2) places on the map plane; 0 where there are none."""
+        return np.nan_to_num(xy) @ self._matrix[:2, :2].T + self.shift
+
+    def exteriors(self, photos: np.ndarray) -> np.ndarray:
+        """(m, 12) exterior orientations in the local frame."""
+        c, s = np.cos(self.turn), np.sin(self.turn)
+        r = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+        centre = self.scale * photos[:, :3] @ r.T + np.array([*self.shift, self.height])
+        return np.hstack([centre, (photos[:, 3:].reshape(-1, 3, 3) @ r.T).reshape(-1, 9)])
+
+    def priors(self, data: Data) -> PhotoPriors:
+        """Onboard positions as weighted observations."""
+        rows = np.flatnonzero(np.isfinite(data.gps).all(axis=1)) if self.by_gps else np.zeros(0, int)
+        info = np.zeros((len(rows), 6, 6))
+        info[:, [0, 1, 2], [0, 1, 2]] = 1 / data.gps_sigma[rows] ** 2
+        return PhotoPriors(rows, data.gps[rows], np.broadcast_to(np.eye(3), (len(rows), 3, 3)), info)
+
+
+def placing_of(data: Data, h: np.ndarray, found: Found | None, plane: float | str | None = None) -> Placing:
+    """The similarity by control points where there are two, else by onboard positions; none for an uncontrolled mosaic.
+
+    h (m, 3, 3), NaN for photos without a place. Raises DegenerateGeometry where positions or points coincide.
+    """
+    pixel = float(np.nanmedian(_pixel(h, data.scale)))
+    if data.level == "uncontrolled":
+        return Placing(data, 1.0, 0.0, np.zeros(2), np.zeros(3), "px", data.frame, False, False, "free", pixel, ())
+    with np.errstate(invalid="ignore"):
+        under = through(np.linalg.inv(np.where(np.isfinite(h), h, np.eye(3))), np.zeros((len(h), 2)))[0]
+    tall = 1 / _pixel(h, data.scale) ** -1 * data.scale  # height over the plane, in its unit
+    exterior = found is not None and isinstance(found.problem.model, Exteriors)
+    if exterior:
+        assert found is not None
+        under, tall = found.photos[:, :2], found.photos[:, 2]
+    under = np.where(np.isfinite(h[:, :1, 0]), under, np.nan)
+    control, place = data.controls, _places(data, h)
+    control = control[np.isfinite(place[control, 0])]
+    placed = np.flatnonzero(np.isfinite(data.gps).all(axis=1) & np.isfinite(under).all(axis=1))
+    said: list[str] = []
+    if len(control) >= 2:
+        scale, turn, shift, off = similarity(place[control], data.xyz[control, :2], data.sigma_xyz[control, :2].mean(axis=1))
+        height = float(plane) if isinstance(plane, (int, float)) else float(np.median(data.xyz[control, 2]))
+        said += _wrong_control(data, control, off, scale * pixel)
+    elif len(placed) >= 2:
+        scale, turn, shift, off = similarity(under[placed], data.gps[placed, :2], data.gps_sigma[placed, :2].mean(axis=1))
+        height = float(plane) if isinstance(plane, (int, float)) else float(np.median(data.gps[placed, 2] - scale * tall[placed]))
+        limit = 4 * float(np.median(data.gps_sigma[placed, :2]))
+        far = [f"'{data.names[p]}' ({o:.0f} m)" for p, o in zip(placed, off, strict=True) if o > limit]
+        if far:
+            said.append(f"the onboard position of {len(far)} photo(s) disagrees with the photos' content: {', '.join(far[:5])}")
+    else:
+        raise DegenerateGeometry(f"{data.block.name}: of the photos that hang together, fewer than two have a position and fewer "
+                                 "than two control points are seen; take --kind uncontrolled")
+    by_gps = exterior and len(placed) >= 2 and (data.level == "semicontrolled" or len(control) < 3)
+    controlled = len(control) >= 2 or by_gps
+    datum = ("both" if by_gps else "control") if len(control) >= 3 else "prior"
+    if not exterior and len(control) < 2:
+        said.append("onboard positions scale, turn and shift the mosaic; with plane coefficients they do not stop its drift")
+    return Placing(data, scale, turn, shift, np.array([height, 0.0, 0.0]), "m", data.frame, controlled, by_gps, datum,
+                   scale * pixel, tuple(said))
+
+
+def similarity(source: np.ndarray, target: np.ndarray, sigma: np.ndarray) -> tuple[float, float, np.ndarray, np.ndarray]:
+    """Scale, rotation [rad], shift (2,) and distances (k,) left, of the weighted similarity source (k, 2) -> target (k, 2),
+    wrong pairs weighted down (Cauchy over the median). Raises DegenerateGeometry where all coincide."""
+    z, w, weight = source[:, 0] + 1j * source[:, 1], target[:, 0] + 1j * target[:, 1], 1 / sigma
+    off, a, b = np.zeros(len(z)), 0j, 0j
+    for _ in range(12 if len(z) > 3 else 1):
+        r = np.sqrt(1 / (1 + (off / np.maximum(2.385 * 1.5 * np.median(off), 1e-12)) ** 2)) if off.any() else np.ones(len(z))
+        design = np.column_stack([z, np.ones(len(z))]) * (weight * r)[:, None]
+        (a, b), *_ = np.linalg.lstsq(design, w * weight * r, rcond=None)
+        off = np.abs(a * z + b - w)
+    if not np.abs(a) > 0 or np.ptp(np.abs(z - z.mean())) + np.abs(z - z.mean()).max() <= 0:
+        raise DegenerateGeometry("the positions that should place the mosaic coincide; give others")
+    return float(np.abs(a)), float(np.angle(a)), np.array([b.real, b.imag]), off
+
+
+def plane_at(points: np.ndarray, wish: float | str | None) -> np.ndarray:
+    """(3,) z0, zx, zy: a given height, the tilted plane through most points (n, 3), or a level one at their median height."""
+    if isinstance(wish, (int, float)):
+        return np.array([float(wish), 0.0, 0.0])
+    if wish is None or len(points) < 3:
+        return np.array([float(np.median(points[:, 2])), 0.0, 0.0])
+    design, weight = np.column_stack([np.ones(len(points)), points[:, :2]]), np.ones(len(points))
+    plane = np.zeros(3)
+    for _ in range(20):
+        plane = np.linalg.lstsq(design * weight[:, None], points[:, 2] * weight, rcond=None)[0]
+        off = np.abs(points[:, 2] - design @ plane)
+        weight = 1 / np.sqrt(1 + (off / max(2.385 * 1.4826 * float(np.median(off)), 1e-9)) ** 2)
+    return plane
+
+
+def _places(data: Data, h: np.ndarray) -> np.ndarray:
+    """(n, 2) mean places of points on the plane of h, NaN for points that no placed photo sees."""
+    ok = np.isfinite(h[data.image, 0, 0])
+    p = np.full((len(data.image), 2), np.nan)
+    p[ok] = through(np.linalg.inv(h[data.image[ok]]), data.q[ok])[0]
+    ok = np.isfinite(p[:, 0])
+    count = np.bincount(data.point[ok], minlength=len(data.xyz))
+    mean = np.stack([np.bincount(data.point[ok], p[ok, k], len(data.xyz)) for k in (0, 1)], axis=1)
+    return np.where(count[:, None] > 0, mean / np.maximum(count, 1)[:, None], np.nan)
+
+
+def _pixel(h: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """(m,) plane units of a pixel in the middle of each photo."""
+    out = np.full(len(h), np.nan)
+    for k, g in enumerate(h):
+        if np.isfinite(g).all():
+            i = np.linalg.inv(g)
+            at = i[:, 2] / i[2, 2]
+            j = (i[:2, :2] - at[:2, None] * i[2, :2]) / i[2, 2]
+            out[k] = np.sqrt(abs(np.linalg.det(j))) / scale[k]
+    return out
+
+
+def _wrong_control(data: Data, control: np.ndarray, off: np.ndarray, pixel: float) -> list[str]:
+    """Control points that stand out: far more than the others and than their own errors."""
+    if len(control) < 4:
+        return []
+    limit = np.maximum(6 * np.median(off), 20 * pixel + 5 * data.sigma_xyz[control, :2].max(axis=1))
+    bad = [f"'{data.points[c]}' ({o:.2f} m off)" for c, o, li in zip(control, off, limit, strict=True) if o > li]
+    return [f"control point(s) that disagree with the photos: {', '.join(bad[:5])}; check their names, coordinates and marks"] \
+        if bad else []
