@@ -19,6 +19,14 @@ def add(commands: Any) -> None:
                              "points (default: the best that the data allow)")
     mosaic.add_argument("--register", choices=("sequential", "simultaneous"), default="simultaneous",
                         help="photo after photo onto the growing mosaic, or all at once (default: simultaneous)")
+    mosaic.add_argument("--model", choices=("auto", "plane", "exterior", "adapted", "bundle"), default="auto",
+                        help="what is adjusted: eight plane coefficients a photo, exterior orientations on the plane, these with "
+                             "coefficients held near them, or a bundle with free points (default: auto)")
+    mosaic.add_argument("--plane", type=_plane, metavar="Z|fitted",
+                        help="height of the mosaic plane [m], or a tilted plane fitted to the points (default: their median "
+                             "height)")
+    mosaic.add_argument("--reference", metavar="N", help="photo that gives the plane of an uncontrolled mosaic (default: the one "
+                                                         "of least tilt)")
     mosaic.add_argument("--surface", default="plane", metavar="plane|DEM.tif", help="what the photos are put on (default: plane)")
     mosaic.add_argument("--crs", help="of a folder of photos: EPSG:CODE (default: their UTM zone)")
     mosaic.add_argument("--allow-partial", action="store_true", help="end with 0 even if photos had to be left out")
@@ -66,7 +74,8 @@ def _mosaic(args: argparse.Namespace) -> int:
                              args.workers or cores(), args.scheduler)
     try:
         done = mosaic_of(args.project, args.output,
-                         MosaicRequest(args.kind, args.register, args.allow_partial, args.crs, compose), progress)
+                         MosaicRequest(args.kind, args.register, args.model, args.plane, args.reference, args.allow_partial,
+                                       args.crs, compose), progress)
     finally:
         if shown:
             print("\r\033[K", end="", file=sys.stderr, flush=True)

@@ -190,7 +190,7 @@ def ties_of_block(block: Block, folder: Path, options: TieOptions | None = None,
     store = ArrayFolder(folder / "runs" / "tiepoints-kept")
     ties = tie_points(photos, partial(read_by_name, paths=paths), options, workers=workers, scheduler=scheduler, store=store,
                       report=report)
-    return _with_ties(block, ties, images, _to_format(ties, block)), ties
+    return with_ties(block, ties, images, ties_in_format(ties, block)), ties
 
 
 def _tie_project(folder: Path, out: Path | str | None, options: TieOptions | None, workers: int, scheduler: str | None,
@@ -198,7 +198,7 @@ def _tie_project(folder: Path, out: Path | str | None, options: TieOptions | Non
     block = read_project(folder)
     new, ties = ties_of_block(block, folder, options, workers=workers, scheduler=scheduler, report=report)
     if out is not None:
-        _write_ties(Path(out), ties, _to_format(ties, block))
+        _write_ties(Path(out), ties, ties_in_format(ties, block))
         return Tied(ties, Path(out))
     write_tables(new, folder)
     return Tied(ties, folder / "observations.csv")
@@ -208,7 +208,7 @@ def _position(prior: Prior | None) -> np.ndarray | None:
     return None if prior is None else prior.centre
 
 
-def _to_format(ties: Ties, block: Block) -> np.ndarray:
+def ties_in_format(ties: Ties, block: Block) -> np.ndarray:
     """(m, 2) pixels of the cameras' formats, which photos may show smaller."""
     formats = np.array([(block.camera_of(n).width, block.camera_of(n).height) for n in ties.photos], float)
     sizes = np.array(ties.sizes, float)
@@ -216,7 +216,7 @@ def _to_format(ties: Ties, block: Block) -> np.ndarray:
     return (ties.observations.pixel + 0.5) * scale - 0.5
 
 
-def _with_ties(block: Block, ties: Ties, images: Sequence[Image], pixel: np.ndarray) -> Block:
+def with_ties(block: Block, ties: Ties, images: Sequence[Image], pixel: np.ndarray) -> Block:
     """The block with these tie points in place of those an earlier search has found."""
     old = np.array([name.startswith("tie") and name[3:].isdigit() and role == "tie"
                     for name, role in zip(block.points.names, block.points.role, strict=True)], bool)

@@ -165,8 +165,8 @@ def _level(block: Block, level: Level | None, control: np.ndarray, positions: np
         raise BadProject(f"{block.name}: a controlled mosaic needs three control points that are not on one line, and "
                          f"{why}; measure more, or take --kind semicontrolled")
     if level == "semicontrolled" and places < 2 and len(control) < 2:
-        raise BadProject(f"{block.name}: a semi-controlled mosaic needs the positions of two photos or two control points, and "
-                         f"there are {places} and {len(control)}; give priors or control, or take --kind uncontrolled")
+        raise BadProject(f"{block.name}: a semi-controlled mosaic needs the positions of two photos or two control points, "
+                         f"and there are {places} and {len(control)}; give priors or control, or take --kind uncontrolled")
     return level
 
 

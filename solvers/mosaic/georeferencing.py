@@ -18,8 +18,8 @@ from .simultaneous import Found
 @dataclass(frozen=True)
 class Placing:
     """A similarity from the reference photo's plane to the local frame: X' = scale R(turn) X + shift, heights over the plane by
-    the same scale. plane (3,): z0, zx, zy. height: z0. unit, frame: of the result. controlled: something weighted joins the
-    adjustment. by_gps: onboard positions do. datum: of a bundle. pixel: size of a photo's pixel on the mosaic."""
+    the same scale. plane (3,): z0, zx, zy. height: z0. wrong: control points that cannot be right. unit, frame: of the result.
+    controlled: something weighted joins the adjustment. by_gps: onboard positions do. datum: of a bundle. pixel: size of a photo's pixel on the mosaic."""
 
     data: Data
     scale: float
@@ -33,6 +33,7 @@ class Placing:
     datum: str
     pixel: float
     said: tuple[str, ...]
+    wrong: tuple[str, ...] = ()
 
     @property
     def height(self) -> float:
@@ -86,10 +87,12 @@ def placing_of(data: Data, h: np.ndarray, found: Found | None, plane: float | st
     control = control[np.isfinite(place[control, 0])]
     placed = np.flatnonzero(np.isfinite(data.gps).all(axis=1) & np.isfinite(under).all(axis=1))
     said: list[str] = []
+    wrong: tuple[str, ...] = ()
     if len(control) >= 2:
         scale, turn, shift, off = similarity(place[control], data.xyz[control, :2], data.sigma_xyz[control, :2].mean(axis=1))
         height = float(plane) if isinstance(plane, (int, float)) else float(np.median(data.xyz[control, 2]))
-        said += _wrong_control(data, control, off, scale * pixel)
+        wrong, told = _wrong_control(data, control, off, scale * pixel)
+        said += told
     elif len(placed) >= 2:
         scale, turn, shift, off = similarity(under[placed], data.gps[placed, :2], data.gps_sigma[placed, :2].mean(axis=1))
         height = float(plane) if isinstance(plane, (int, float)) else float(np.median(data.gps[placed, 2] - scale * tall[placed]))
@@ -106,7 +109,7 @@ def placing_of(data: Data, h: np.ndarray, found: Found | None, plane: float | st
     if not exterior and len(control) < 2:
         said.append("onboard positions scale, turn and shift the mosaic; with plane coefficients they do not stop its drift")
     return Placing(data, scale, turn, shift, np.array([height, 0.0, 0.0]), "m", data.frame, controlled, by_gps, datum,
-                   scale * pixel, tuple(said))
+                   scale * pixel, tuple(said), wrong)
 
 
 def similarity(source: np.ndarray, target: np.ndarray, sigma: np.ndarray) -> tuple[float, float, np.ndarray, np.ndarray]:
@@ -162,11 +165,14 @@ def _pixel(h: np.ndarray, scale: np.ndarray) -> np.ndarray:
     return out
 
 
-def _wrong_control(data: Data, control: np.ndarray, off: np.ndarray, pixel: float) -> list[str]:
-    """Control points that stand out: far more than the others and than their own errors."""
+def _wrong_control(data: Data, control: np.ndarray, off: np.ndarray, pixel: float) -> tuple[tuple[str, ...], list[str]]:
+    """Control points that stand out, far more than the others and than their own errors: their names, and a sentence."""
     if len(control) < 4:
-        return []
-    limit = np.maximum(6 * np.median(off), 20 * pixel + 5 * data.sigma_xyz[control, :2].max(axis=1))
-    bad = [f"'{data.points[c]}' ({o:.2f} m off)" for c, o, li in zip(control, off, limit, strict=True) if o > li]
-    return [f"control point(s) that disagree with the photos: {', '.join(bad[:5])}; check their names, coordinates and marks"] \
-        if bad else []
+        return (), []
+    limit = np.maximum(8 * np.median(off), 20 * pixel + 5 * data.sigma_xyz[control, :2].max(axis=1))
+    bad = [(data.points[c], o) for c, o, li in zip(control, off, limit, strict=True) if o > li]
+    if not bad or len(control) - len(bad) < 3:
+        return (), []
+    listed = ", ".join(f"'{n}' ({o:.2f} m off)" for n, o in bad[:5])
+    return tuple(n for n, _ in bad), [f"control point(s) that disagree with the photos were left out: {listed}; check their "
+                                      "names, coordinates and marks"]

@@ -69,7 +69,7 @@ class Response:
         return np.sqrt(np.nanmean(np.einsum("mgea,mab,mgeb->mg", j, self.covariance, j), axis=1))
 
     def to(self, errors: np.ndarray) -> np.ndarray:
-        """(m, s, k) the photos' tangent steps by k sets of errors (o, 2, k) of the observations [standard deviations]."""
+        """(m, s, k) the photos' tangent steps by k sets of errors (o, 2, k) of observations [their sigmas]."""
         problem, net = self.problem, self.problem.network
         made, reduced = self._made
         s, k = problem.model.size, errors.shape[2]

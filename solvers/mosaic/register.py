@@ -54,15 +54,19 @@ def register(block: Block, request: RegistrationRequest | None = None, bundle: B
     """
     request = request or RegistrationRequest()
     data = data_of(block, request.level, request.reference)
-    if request.method == "sequential":
-        return _sequential(data, request)
-    return _simultaneous(data, request, bundle)
+    out = _sequential(data, request) if request.method == "sequential" else _simultaneous(data, request, bundle)
+    if isinstance(out, Registration):
+        return out
+    for name in out.wrong:  # once more without the control points that cannot be right
+        block = block.with_role(name, "check")
+    again = register(block, request, bundle)
+    return replace(again, warnings=(*out.said, *again.warnings), rejected=(*out.wrong, *again.rejected))
 
 
 # -- one after the other --------------------------------------------------------------------------------------------------
 
 
-def _sequential(data: Data, request: RegistrationRequest) -> Registration:
+def _sequential(data: Data, request: RegistrationRequest) -> Registration | Placing:
     net = data.network(request.loss)
     steps, lost, _ = _grown(data, net, ("similarity", "affine", "projective"))
     order = [s.photo for s in steps]
@@ -70,6 +74,8 @@ def _sequential(data: Data, request: RegistrationRequest) -> Registration:
     for s in steps:
         h[s.photo] = s.h
     place = placing_of(data, h, None, request.plane)
+    if place.wrong:
+        return place
     data, h = place.data, place.homographies(h)
     rows, boxes, at, cost = [], [], np.full((len(net.names), 9), np.nan), 0.0
     for k, s in enumerate(steps):
@@ -112,7 +118,7 @@ def _grown(data: Data, net: Network, stages: tuple[str, ...]) -> tuple[list[Step
 # -- all at once ------------------------------------------------------------------------------------------------------------
 
 
-def _simultaneous(data: Data, request: RegistrationRequest, bundle: BundleSolver | None) -> Registration:
+def _simultaneous(data: Data, request: RegistrationRequest, bundle: BundleSolver | None) -> Registration | Placing:
     net = data.network(request.loss)
     steps, lost, xy = _grown(data, net, ())
     h = np.zeros((len(net.names), 3, 3))
@@ -133,6 +139,8 @@ def _simultaneous(data: Data, request: RegistrationRequest, bundle: BundleSolver
     data, found, out = _without_strangers(data, found, request)
     lost |= out
     place = placing_of(data, found.warps, found, request.plane)
+    if place.wrong:
+        return place
     adjusted = None
     if place.controlled:
         found = _placed(data, place, found, request)

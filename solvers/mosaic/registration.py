@@ -46,7 +46,8 @@ class Registration:
     and Y, "m", or "px" of the reference photo where nothing gives the scale. covariance (n, k, k): of each photo, k = 8 plane
     coefficients a1 b1 c1 a2 b2 c2 a3 b3 over undistorted pixels (see `coefficients`), or k = 6 centre and left rotation vector;
     a priori. trace: every step. corner_sigma (n,): predicted standard error [unit] of the photo's corners on the mosaic, the
-    noise alone. unused: photos that take no part, and why. sigma_px: of the tie points; rms_px: of their residuals.
+    noise alone. unused: photos that take no part, and why. rejected: control points left out. rms_px:
+    of the tie points.
     """
 
     kind: Kind
@@ -65,6 +66,7 @@ class Registration:
     trace: Trace
     warnings: tuple[str, ...] = ()
     unused: Mapping[str, str] = field(default_factory=dict)
+    rejected: tuple[str, ...] = ()
 
     @property
     def crs(self) -> str:
