@@ -149,8 +149,8 @@ def data_of(block: Block, level: Level | None, reference: str | None) -> Data:
     gps_sigma = np.array([p.sigma_m if p is not None and p.sigma_m is not None else (5.0, 5.0, 10.0) for p in stated], float)
     names = tuple(block.images[k].name for k in keep)
     data = Data(block, level, names, tuple(block.cameras[block.images[k].camera] for k in keep), image, point, of.pixel[rows],
-                np.where(np.isfinite(of.sigma[rows]), of.sigma[rows], block.image_px), xyz, np.maximum(sigma, 1e-4), gps, gps_sigma,
-                frame, 0, unused, tuple(said))
+                np.where(np.isfinite(of.sigma[rows]), of.sigma[rows], block.image_px), xyz, np.maximum(sigma, 1e-4), gps,
+                gps_sigma, frame, 0, unused, tuple(said))
     return replace(data, reference=_reference(data, reference))
 
 

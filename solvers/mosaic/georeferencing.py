@@ -19,7 +19,8 @@ from .simultaneous import Found
 class Placing:
     """A similarity from the reference photo's plane to the local frame: X' = scale R(turn) X + shift, heights over the plane by
     the same scale. plane (3,): z0, zx, zy. height: z0. wrong: control points that cannot be right. unit, frame: of the result.
-    controlled: something weighted joins the adjustment. by_gps: onboard positions do. datum: of a bundle. pixel: size of a photo's pixel on the mosaic."""
+    controlled: something weighted joins the adjustment. by_gps: onboard positions do. datum: of a bundle. pixel: size of a
+    photo's pixel on the mosaic."""
 
     data: Data
     scale: float

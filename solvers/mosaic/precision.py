@@ -42,8 +42,8 @@ class Response:
         try:
             blocks = self._made[1].inverse()[0]
         except np.linalg.LinAlgError:
-            raise DegenerateGeometry("the registration is singular: its tie points leave a photo free; add tie points spread over "
-                                     "the overlaps, or control points") from None
+            raise DegenerateGeometry("the registration is singular: its tie points leave a photo free; add tie points spread "
+                                     "over the overlaps, or control points") from None
         m = len(problem.network.live)
         out[problem.network.live] = blocks[problem.lut[np.arange(m), np.arange(m)]]
         return out
