@@ -102,7 +102,7 @@ def _fill(shots: Sequence[Shot], acc: np.ndarray, total: np.ndarray, window: Win
 
 
 def _any(nodes: np.ndarray) -> np.ndarray:
-    return np.stack([nodes[:-1, :-1], nodes[:-1, 1:], nodes[1:, :-1], nodes[1:, 1:]]).any(axis=0)
+    return nodes[:-1, :-1] | nodes[:-1, 1:] | nodes[1:, :-1] | nodes[1:, 1:]
 
 
 def _cells_with(mask: np.ndarray, lattice: Lattice) -> np.ndarray:
@@ -111,7 +111,7 @@ def _cells_with(mask: np.ndarray, lattice: Lattice) -> np.ndarray:
     padded = np.zeros((m * lattice.step, n * lattice.step), bool)
     h, w = min(mask.shape[0], padded.shape[0]), min(mask.shape[1], padded.shape[1])
     padded[:h, :w] = mask[:h, :w]
-    return padded.reshape(m, lattice.step, n, lattice.step).any(axis=(1, 3))
+    return padded.reshape(m, lattice.step, n, lattice.step).max(axis=(1, 3))
 
 
 # -- bands ------------------------------------------------------------------------------------------------------------------
