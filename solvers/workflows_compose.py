@@ -22,6 +22,7 @@ from .io import (
     PhotoStore,
     TileFolder,
     areas_of,
+    crs,
     encode_tile,
     full_disk,
     no_space,
@@ -47,7 +48,8 @@ AT_LEAST = 0.25
 
 @dataclass(frozen=True)
 class ComposeRequest:
-    """How a mosaic is composed. surface: "plane" or a DEM's file; gsd [m], None: of the photos; memory [GB], None: as needed."""
+    """How a mosaic is composed. surface: "plane" or a DEM's file; gsd [m], None: of the photos; memory [GB], None: as needed;
+    crs: of the map, None: the registration's (a block in frame "grid" is local, its map is not)."""
 
     surface: str = "plane"
     gsd: float | None = None
@@ -59,6 +61,7 @@ class ComposeRequest:
     workers: int = 1
     scheduler: str | None = None
     compression: Literal["deflate", "zstd", "none"] = "deflate"
+    crs: str | None = None
 
 
 def compose_photos(registration: Registration, photos: Mapping[str, Path], out: Path, request: ComposeRequest,
@@ -79,11 +82,12 @@ def compose_photos(registration: Registration, photos: Mapping[str, Path], out: 
     planned = time.perf_counter()
     notes = _tiles(made, folder, store, request, report)
     tiled = time.perf_counter()
-    _finish(made, folder, request, registration.unit)
-    _beside(made, out, registration)
+    _finish(made, folder, request, registration.unit, _crs(registration, request))
+    _beside(made, out, _crs(registration, request))
     folder.remove()
     seconds = {"plan": planned - start, "tiles": tiled - planned, "write": time.perf_counter() - tiled}
-    return {**_said(made, registration), **notes, "seconds": seconds, "peak_memory_mb": peak_memory_mb()}
+    return {**_said(made, registration), "crs": _crs(registration, request), **notes, "seconds": seconds,
+            "peak_memory_mb": peak_memory_mb()}
 
 
 def make_tile(job: Job, store: PhotoStore, compression: str) -> Part:
@@ -144,16 +148,27 @@ def _ground(registration: Registration, placed: list[Placed], request: ComposeRe
     reach = 0.25 * (high - low)
     west, south, east, north = (float(v) for v in (*(low - reach), *(high + reach)))
     whole = read_surface(request.surface, (west, south, east, north))
+    if not crs.same_map(whole.grid.crs, _crs(registration, request)):
+        raise BadProject(f"{request.surface}: its crs is not the mosaic's, '{_crs(registration, request)}'; warp the DEM to it")
+    whole = _on_map(whole, registration)
     if not np.isfinite(whole.z).any():
         raise BadProject(f"{request.surface}: the height grid has no heights at this place; take one of the site, in the "
                          "same crs")
-    return Ground(registration.frame, coarse(whole)), partial(_heights, Path(request.surface))
+    return Ground(registration.frame, coarse(whole)), partial(_heights, Path(request.surface), registration)
 
 
-def _heights(path: Path, bounds: tuple[float, float, float, float]) -> Surface:
+def _crs(registration: Registration, request: ComposeRequest) -> str:
+    return request.crs or registration.crs
+
+
+def _on_map(surface: Surface, registration: Registration) -> Surface:
+    return replace(surface, grid=replace(surface.grid, crs=registration.crs))
+
+
+def _heights(path: Path, registration: Registration, bounds: tuple[float, float, float, float]) -> Surface:
     """Heights within bounds; none of a place beyond the grid."""
     try:
-        return read_surface(path, bounds)
+        return _on_map(read_surface(path, bounds), registration)
     except BadProject:
         west, _, _, north = bounds
         return Surface(Grid((2, 2), (1.0, 0.0, west, 0.0, -1.0, north)), np.full((2, 2), np.nan), name=path.name)
@@ -200,13 +215,14 @@ def _tiles(made: Composition, folder: TileFolder, store: PhotoStore, request: Co
     return {"tiles": len(order), "tiles_kept": len(finished & set(order))}
 
 
-def _finish(made: Composition, folder: TileFolder, request: ComposeRequest, unit: str) -> None:
+def _finish(made: Composition, folder: TileFolder, request: ComposeRequest, unit: str, map_crs: str) -> None:
+    grid = replace(made.canvas.grid, crs=map_crs)
     try:
         if folder.out.suffix.lower() in RASTERS:
-            write_cog(folder, made.canvas.grid, made.tiles, half, request.compression)
+            write_cog(folder, grid, made.tiles, half, request.compression)
             return
         whole = folder.folder / "whole.tif"
-        write_cog(folder, made.canvas.grid, made.tiles, half, request.compression, whole)
+        write_cog(folder, grid, made.tiles, half, request.compression, whole)
         to_picture(whole, folder.out, f"1 px = {made.canvas.gsd:g} {unit}")
     except OSError as error:
         if no_space(error):
@@ -214,15 +230,15 @@ def _finish(made: Composition, folder: TileFolder, request: ComposeRequest, unit
         raise
 
 
-def _beside(made: Composition, out: Path, registration: Registration) -> None:
+def _beside(made: Composition, out: Path, map_crs: str) -> None:
     """World file, footprints, seams."""
     write_world_file(out, made.canvas.grid)
     rings = [([o], {"image": p.name, "whole": w}) for p, o, w in zip(made.photos, made.canvas.outlines, made.canvas.whole,
                                                                    strict=True)]
-    write_areas(out.with_suffix(".footprints.geojson"), rings, registration.crs)
+    write_areas(out.with_suffix(".footprints.geojson"), rings, map_crs)
     if made.labels is not None:
         areas = [(r, {"image": made.photos[k].name}) for k, r in areas_of(made.labels.number, made.labels.grid)]
-        write_areas(out.with_suffix(".seams.geojson"), areas, registration.crs)
+        write_areas(out.with_suffix(".seams.geojson"), areas, map_crs)
 
 
 def _said(made: Composition, registration: Registration) -> dict[str, Any]:
@@ -230,6 +246,6 @@ def _said(made: Composition, registration: Registration) -> dict[str, Any]:
     cut = [p.name for p, w in zip(made.photos, made.canvas.whole, strict=True) if not w]
     horizon = [f"image '{n}' shows the horizon: only its ground up to 75 degrees from the vertical is used" for n in cut]
     evened = made.evened
-    return {"width": columns, "height": rows, "bounds": made.canvas.bounds, "crs": registration.crs, "gsd": made.canvas.gsd,
+    return {"width": columns, "height": rows, "bounds": made.canvas.bounds, "gsd": made.canvas.gsd,
             "unit": registration.unit, "horizon": cut, "notes": horizon,
             "gain": None if evened is None else {"rms_before": evened.before, "rms_after": evened.after, "places": evened.places}}

@@ -85,7 +85,9 @@ class Mosaicked(NamedTuple):
 
     def to_json(self) -> dict[str, Any]:
         """The JSON of the command mosaic."""
-        return {**self.composed, **registered_json(self.registered), "run": None if self.run is None else str(self.run)}
+        said = registered_json(self.registered)
+        return {**self.composed, **said, "notes": [*said["notes"], *self.composed["notes"]],
+                "run": None if self.run is None else str(self.run)}
 
 
 def registered_json(done: Registered) -> dict[str, Any]:
@@ -110,7 +112,8 @@ def mosaic_of(source: Path | str, out: Path | str, request: MosaicRequest | None
     """Register the photos of a project or folder and compose them into one raster. Raises PhotogrammetryError."""
     request = request or MosaicRequest()
     done = registered(Path(source), request, report)
-    composed = compose_photos(done.registration, done.site.photos, Path(out), request.compose, report)
+    onto = replace(request.compose, crs=done.site.block.crs)
+    composed = compose_photos(done.registration, done.site.photos, Path(out), onto, report)
     run = None
     if (Path(source) / "project.toml").is_file():
         run = new_run(Path(source), "mosaic")

@@ -76,6 +76,18 @@ def described(text: str) -> Described:
                      float(third.unit_conversion_factor) if third is not None else None)
 
 
+def same_map(first: str, second: str) -> bool:
+    """Whether two crs have the same map coordinates, whatever they say of heights; "local" agrees with everything."""
+    if "local" in (first, second) or first == second:
+        return True
+    a, b = (_flat(_crs(text)) for text in (first, second))
+    return a.equals(b, ignore_axis_order=True)
+
+
+def _flat(crs: Any) -> Any:
+    return (crs.sub_crs_list[0] if crs.is_compound else crs).to_2d()
+
+
 def is_geographic(text: str) -> bool:
     """Whether coordinates in a crs are degrees."""
     return text != "local" and described(text).geographic
