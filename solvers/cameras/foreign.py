@@ -15,6 +15,7 @@ import numpy as np
 from ..errors import Unsupported
 from .brown import COEFFICIENTS, Brown
 from .distortion import correct_derivatives
+from .forward import Forward
 from .interior import Interior
 
 PITCH_MM = 0.004
@@ -46,6 +47,7 @@ def to_brown(camera: Interior | Brown, terms: Sequence[str] = (*COEFFICIENTS[:4]
 
     Exact when the camera is a `Brown` within the terms, or distorts nothing. The principal point stays.
     """
+    camera = _as_brown(camera) if isinstance(camera, Forward) else camera
     if isinstance(camera, Brown):
         if _within(camera, terms):
             return camera, Fit()
@@ -66,6 +68,7 @@ def to_interior(camera: Interior | Brown) -> tuple[Interior, Fit]:
 
     Raises Unsupported where the other tool's distortion folds within the format.
     """
+    camera = _as_brown(camera) if isinstance(camera, Forward) else camera
     if isinstance(camera, Interior):
         return camera, Fit()
     pitch = camera.pixel_mm or (PITCH_MM, PITCH_MM)
@@ -101,6 +104,16 @@ def project_camera(camera: Interior | Brown, rotated: np.ndarray) -> np.ndarray:
     if isinstance(camera, Interior):
         return camera.measured(camera.c * np.stack([x, y], -1))
     return camera.measured(np.stack([x, -y], -1))
+
+
+def _as_brown(camera: Forward) -> Interior | Brown:
+    """A forward camera as it is, y counted down; with affinity or shear (of ideal coordinates) it stays and is fitted."""
+    if camera.b1 or camera.b2:
+        return camera
+    px, py = (float(p) for p in camera.pitch)
+    return Brown(camera.c / px, camera.c / py, (camera.width - 1) / 2 + camera.xp / px, (camera.height - 1) / 2 - camera.yp / py,
+                 k1=camera.k1, k2=camera.k2, k3=camera.k3, p1=-camera.p2, p2=camera.p1, width=camera.width, height=camera.height,
+                 pixel_mm=(px, py))
 
 
 def _clean(value: float) -> float:

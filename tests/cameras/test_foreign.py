@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from solvers import BadProject, Interior, Unsupported
+from solvers.cameras import Forward
 from solvers.cameras.brown import Brown
 from solvers.cameras.foreign import (
     METASHAPE_TERMS,
@@ -69,6 +70,13 @@ def test_what_distorts_nothing_is_exact() -> None:
     np.testing.assert_allclose(project_camera(brown, RAYS), project_camera(plain, RAYS), atol=1e-9)
     assert fit.max_px == 0 and not fit.told("x")
     np.testing.assert_allclose(to_interior(brown)[0].parameters, plain.parameters, atol=1e-12)
+
+
+def test_our_forward_camera_is_theirs() -> None:
+    camera = Forward(35.0, 0.21, -0.13, -0.02, 0.01, -0.003, 6e-4, -4e-4, pixel_mm=0.004, width=6000, height=4000)
+    brown, fit = to_brown(camera)
+    np.testing.assert_allclose(project_camera(brown, RAYS), project_camera(camera, RAYS), atol=1e-9)
+    assert fit.max_px == 0 and type(to_interior(camera)[0]) is Interior
 
 
 def test_terms_a_tool_lacks_are_fitted_and_told() -> None:

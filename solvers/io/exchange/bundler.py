@@ -15,7 +15,7 @@ import numpy as np
 from ...cameras.brown import Brown
 from ...cameras.foreign import to_brown
 from ...errors import BadTable, PhotogrammetryError
-from ...geometry import log
+from ...geometry import Exterior, log, rotation
 from ..files import write_text
 from .conventions import CameraAxes, Position, RotationDirection, exterior_as, exterior_from
 from .options import NOTHING, Reading
@@ -211,3 +211,15 @@ def write_bal(scene: Exchange, path: Path) -> tuple[str, ...]:
     write_text(path, "\n".join(out) + "\n")
     left = len(scene.shots) - len(images)
     return (*notes, *((f"{left} images without an orientation are left out",) if left else ()))
+
+def read_bal_problem(path: Path, options: Reading = NOTHING) -> Exchange:
+    """A BAL problem, a camera an image unless all are alike. Raises BadTable."""
+    from ..bal import read_bal
+
+    block = read_bal(path)
+    lenses: dict[str, Camera] = {name: to_brown(camera, TERMS)[0] for name, camera in block.cameras.items()}
+    shots = [Shot(i.name, i.camera, Exterior(rotation(*i.prior.angles), i.prior.centre)) for i in block.images
+             if i.prior is not None and i.prior.angles is not None and i.prior.centre is not None]
+    first = block.cameras[block.images[0].camera]
+    return Exchange("BAL", path, "local", _shared(lenses, shots), tuple(shots), block.points, block.observations,
+                    (f"size of the photos: {first.width} x {first.height} px, just enough for the measurements (assumed)",))

@@ -98,7 +98,7 @@ FORMATS: dict[str, Format] = {
     "opensfm": Format("OpenSfM reconstruction.json", ("cameras", "orientations", "points"), opensfm.read),
     "shots": Format("OpenDroneMap shots.geojson", POSES, opensfm.read_shots),
     "bundler": Format("Bundler bundle.out", ALL, bundler.read, bundler.write),
-    "bal": Format("bundle adjustment in the large", ALL, None, bundler.write_bal),
+    "bal": Format("bundle adjustment in the large", ALL, bundler.read_bal_problem, bundler.write_bal),
     "micmac": Format("MicMac Ori folder", POSES, micmac.read, None, True),
     "nerfstudio": Format("nerfstudio transforms.json", POSES, nerf.read, nerf.write),
     "gcp-odm": Format("OpenDroneMap gcp_list.txt", CONTROL, control.read_list, control.write_odm),
@@ -230,7 +230,7 @@ def _text(head: str) -> str | None:
     tests = {"cal-opencv": head.startswith("%YAML") or "!!opencv-matrix" in head, "bundler": bundler.looks_like(head),
              "pix4d": pix4d.looks_like(head), "cal-pix4d": calibration.looks_like_cam(head),
              "cal-australis": calibration.looks_like_australis(head), "qgis": control.looks_like_qgis(head),
-             "opk": opk.looks_like(Path(), head), "patb": opk.looks_like_patb(head),
+             "opk": opk.looks_like(Path(), head), "patb": opk.looks_like_patb(head), "bal": bundler.looks_like_bal(content),
              "mrk": bool(re.search(r",\s*Lat\b.*,\s*Lon\b.*,\s*Ellh\b", first)), "geo": _positions(first)}
     found = next((name for name, yes in tests.items() if yes), None)
     return found or ("gcp" if content and "\0" not in head and "\ufffd" not in head else None)
