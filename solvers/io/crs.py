@@ -172,7 +172,9 @@ def _crs(text: str) -> Any:
     from pyproj.exceptions import CRSError
 
     try:
-        return CRS.from_user_input(_content(text))
+        crs = CRS.from_user_input(_content(text))
+        shift = crs.coordinate_operation.towgs84 if crs.is_bound and crs.coordinate_operation else None
+        return crs.source_crs if shift is not None and not any(shift) else crs  # TOWGS84[0,0,..] says nothing
     except (CRSError, ValueError):
         raise BadProject(f"crs '{_brief(text)}' is not known; write \"local\", an EPSG code such as \"EPSG:32632\" or "
                          "\"EPSG:25832+7837\", WKT, or the path of a .prj file") from None
@@ -192,4 +194,4 @@ def _content(text: str) -> str:
 
 def _brief(text: str) -> str:
     one = " ".join(text.split())
-    return one if len(one) <= 60 else f"{one[:57]}..."
+    return one if len(one) <= 60 or one.lower().endswith(".prj") else f"{one[:57]}..."

@@ -122,7 +122,7 @@ def _geo_txt(path: Path, crs: str, lines: list[tuple[int, list[str]]]) -> list[O
         cells = text.split()
         values = np.array([_strict(path, line, c) for c in cells[1:9]], float)
         if len(values) < 2:
-            raise BadTable(f"{path} line {line}: expected image x y [z] [yaw pitch roll] [hacc vacc]")
+            raise BadTable(f"{path} line {line}: expected image x y [z] [yaw pitch roll] [hacc vacc]; correct the line")
         x, y, z = values[0], values[1], values[2] if len(values) > 2 else np.nan
         lon, lat = (x, y) if is_geographic(code) else transformed(np.array([[x, y, 0.0]]), code, "EPSG:4326")[0, :2]
         attitude = (values[3], values[4], values[5]) if len(values) >= 6 else None

@@ -190,7 +190,7 @@ def read_patb(path: Path, options: Reading = NOTHING) -> Exchange:
     if not lines or len(lines) % 3:
         where = lines[-1] if lines else Line(path, 1, ())
         raise where.error(f"{len(lines)} lines, expected three for every photo")
-    shots = []
+    found: list[tuple[str, Exterior]] = []
     for k in range(0, len(lines), 3):
         first, second, third = lines[k:k + 3]
         first.need(4, "photo number X Y Z")
@@ -201,9 +201,11 @@ def read_patb(path: Path, options: Reading = NOTHING) -> Exchange:
             exterior = exterior_from(r, first.floats(len(first.cells) - 3, 3), CameraAxes.PHOTO, direction, Position.CENTRE)
         except BadTable as error:
             raise second.error(f"photo {first.cells[0]}: {error}") from None
-        shots.append(Shot(first.cells[0], None, exterior))
-    if len({s.name for s in shots}) < len(shots):
+        found.append((first.cells[0], exterior))
+    if len({label for label, _ in found}) < len(found):
         raise BadTable(f"{path}: a photo number is there twice; remove one of them")
+    names = named([label for label, _ in found])
+    shots = [Shot(name, None, at, file) for (name, file), (_, at) in zip(names, found, strict=True)]
     said = "object axes into photo axes" if options.matrix == "object-to-photo" else \
         "photo axes into object axes (assumed; give --matrix object-to-photo if it is the other way)"
     return Exchange("PATB", path, None, {}, tuple(shots), notes=(f"rotation matrices: {said}",))

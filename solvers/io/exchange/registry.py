@@ -147,8 +147,10 @@ def read(path: Path | str, name: str | None = None, options: Reading = NOTHING) 
     try:
         with np.errstate(all="ignore"):
             scene = reader(path, options)
-    except PhotogrammetryError:
-        raise
+    except PhotogrammetryError as error:
+        if str(path) in str(error):
+            raise
+        raise type(error)(f"{path}: {error}") from None
     except OSError as error:
         raise BadTable(f"{path}: it cannot be read ({error.strerror or error}); check the path and its permissions") from None
     except (ValueError, TypeError, KeyError, IndexError, AttributeError, ArithmeticError, RecursionError, AssertionError,

@@ -1,0 +1,147 @@
+"""Truncated, damaged and enormous files: one sentence that names the file, never another exception."""
+
+from __future__ import annotations
+
+import os
+import random
+import re
+from pathlib import Path
+
+import pytest
+
+from solvers import PhotogrammetryError
+from solvers.io.exchange import registry
+from solvers.io.exchange.options import Reading
+
+from .scenes import HANDMADE, MIDDLE, OURS, micmac_folder, scene
+from .test_by_hand import MARKERS, PIX4D
+
+TEXTS = {
+    "gcp-odm": ("gcp_list.txt", "EPSG:32632\n684210.5 5334100.25 412.1 100.5 50.25 b.JPG P1\n684310.7 5334180.5 418 7 8 b.JPG "
+                                "P2\n"),
+    "gcp": ("g.csv",
+            "name;E;N;H;image;col;row\nA;684210,5;5334100,25;500;a.jpg;10,5;20\nB;684310,5;5334100,25;510;a.jpg;30;40\n"),
+    "gcp-pix4dmatic": ("p.csv", "A,48.1,11.5,530,0.01,0.02\nB,48.2,11.6,531,0.01,0.02\n"),
+    "qgis": ("D.points", "#CRS: "
+                         "EPSG:32632\nmapX,mapY,pixelX,pixelY,enable,dX,dY,residual\n684210.5,5334100.25,100.5,-200.5,1,0,0,0\n"),
+    "metashape": ("m.xml", MARKERS), "pix4d": ("x_calibrated_camera_parameters.txt", PIX4D),
+    "gcp-opensfm": ("gcp.json", '{"points": [{"id": "a", "position": {"latitude": 48.1, "longitude": 11.5, "altitude": 530}, '
+                                '"observations": [{"shot_id": "x.jpg", "projection": [0.1, -0.2]}]}]}'),
+    "geo": ("geo.txt", "EPSG:4326\nDSC1.JPG 11.5 48.1 530 10 0 0 0.02 0.03\nDSC2.JPG 11.5 48.1 530 10 0 0 0.02 0.03\n"),
+    "mrk": ("f.MRK", "1\t375769.385\t[2052]\t-2,N\t-1,E\t195,V\t22.8,Lat\t114.05,Lon\t85.1,Ellh\t0.011, 0.012, 0.031\t50,Q\n"),
+    "cal-pix4d": ("p.cam", "Pix4D camera calibration file 0\n#Focal Length mm assuming a sensor width of 12.8x9.6mm\nF 8.8\n"
+                           "#Principal Point mm\nPx 6.5\nPy 4.7\nK1 -0.01\nT1 0.001\n"),
+    "cal-australis": ("a.txt", "Australis\nSensor size: 4000 x 3000\nPixel size: 0.0024\nC 8.9\nXP 0.02\nYP -0.03\nK1 1.2e-4\n"),
+    "cal-metashape": ("c.xml", "<calibration><projection>frame</projection><width>4000</width><height>3000</height><f>3000</f>"
+                               "<cx>10</cx><cy>-5</cy><k1>-0.1</k1></calibration>"),
+    "cal-opencv": ("c.yml", "%YAML:1.0\n---\nimage_width: 4000\nimage_height: 3000\ncamera_matrix: !!opencv-matrix\n   rows: 3\n "
+                            "  cols: 3\n"
+                            "   dt: d\n   data: [ 3000., 0., 1999., 0., 3000., 1499., 0., 0., 1. ]\n"),
+}
+WRITTEN = {"colmap": ("m", "images.txt"), "colmap-bin": ("m", "images.bin"), "opf": ("m", "calibrated_cameras.json"),
+           "blocks": ("b.xml", ""), "nerfstudio": ("transforms.json", ""), "bundler": ("bundle.out", ""), "bal": ("p.txt", ""),
+           "opk-metashape": ("o.txt", ""), "patb": ("o.ori", ""), "gcp-geojson": ("g.geojson", "")}
+KINDS = [*TEXTS, *WRITTEN, *HANDMADE, "micmac"]
+OPTIONS = Reading(crs="EPSG:32632", size=(4000, 3000))
+
+
+def made(kind: str, folder: Path) -> tuple[Path, Path]:
+    """What is read, and the file in it that is damaged."""
+    if kind == "micmac":
+        path = micmac_folder(scene(OURS), folder / "Ori-X")
+        return path, path / "Orientation-DSC01.JPG.xml"
+    if kind in TEXTS:
+        path = folder / TEXTS[kind][0]
+        path.write_text(TEXTS[kind][1])
+        return path, path
+    if kind in HANDMADE:
+        name, write = HANDMADE[kind]
+        path = write(scene(crs="EPSG:32632"), folder / name)
+        return path, path
+    name, part = WRITTEN[kind]
+    write = registry.FORMATS[kind].write
+    assert write is not None
+    write(scene(MIDDLE, crs="EPSG:32632"), folder / name)
+    return folder / name, folder / name / part if part else folder / name
+
+
+def refused(path: Path, kind: str | None) -> None:
+    """Either it is read, or one sentence that names a file says why not."""
+    try:
+        registry.read(path, kind, OPTIONS)
+    except PhotogrammetryError as error:
+        text = str(error)
+        assert "\n" not in text and "Traceback" not in text and len(text) < 1500, text
+        assert ";" in text or "," in text, text
+        assert str(path) in text, text
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_whole_file_is_read(tmp_path: Path, kind: str) -> None:
+    path, _ = made(kind, tmp_path)
+    value = registry.read(path, kind, OPTIONS)
+    assert value.shots or value.cameras or len(value.points)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_truncated(tmp_path: Path, kind: str) -> None:
+    path, part = made(kind, tmp_path)
+    data = part.read_bytes()
+    for share in (0.0, 0.03, 0.1, 0.27, 0.5, 0.73, 0.9, 0.97, 0.995):
+        part.write_bytes(data[:int(len(data) * share)])
+        refused(path, kind)
+        refused(path, None)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_garbage(tmp_path: Path, kind: str) -> None:
+    path, part = made(kind, tmp_path)
+    data, rng = part.read_bytes(), random.Random(7)
+    words = [b"NaN", b"1e999", b"-1", b"x", b"", b"0", b"\xff\xfe", b"null", b"{}", b"99999999999999999999", b"\0", b",", b"inf"]
+    numbers = [m.span() for m in re.finditer(rb"-?\d+(\.\d+)?", data)] or [(0, 1)]
+    for _ in range(30):
+        a, b = rng.choice(numbers)
+        part.write_bytes(data[:a] + rng.choice(words) + data[b:])
+        refused(path, kind)
+        at = rng.randrange(len(data))
+        part.write_bytes(data[:at] + bytes(rng.randrange(256) for _ in range(rng.randrange(1, 9))) + data[at + rng.randrange(9):])
+        refused(path, kind)
+    part.write_bytes(os.urandom(3000))
+    refused(path, kind)
+    refused(path, None)
+
+
+@pytest.mark.parametrize("kind", [k for k in KINDS if k not in ("bal", "micmac")])
+def test_a_gigabyte_is_refused_before_it_is_read(tmp_path: Path, kind: str) -> None:
+    path, part = made(kind, tmp_path)
+    with open(part, "r+b") as stream:
+        stream.truncate(2**30 + 1)  # sparse
+    with pytest.raises(PhotogrammetryError, match=r"1024 MB|1 GB|larger"):
+        registry.read(path, kind, OPTIONS)
+
+
+def test_entities_are_refused(tmp_path: Path) -> None:
+    head, tail = '<?xml version="1.0"?><!DOCTYPE d [', "]><document><chunk>&a;</chunk></document>"
+    bomb = head + '<!ENTITY b "bbbbbbbbbb"><!ENTITY a "&b;&b;&b;&b;">' + tail
+    outside = head + '<!ENTITY a SYSTEM "file:///etc/hostname">' + tail
+    for text in (bomb, outside):
+        (tmp_path / "b.xml").write_text(text)
+        with pytest.raises(PhotogrammetryError, match=r"b\.xml: its XML defines entities"):
+            registry.read(tmp_path / "b.xml")
+
+
+def test_announced_counts_are_not_believed(tmp_path: Path) -> None:
+    path, part = made("colmap-bin", tmp_path)
+    data = part.read_bytes()
+    part.write_bytes(b"\xff" * 8 + data[8:])
+    with pytest.raises(PhotogrammetryError, match=r"images\.bin byte 8: .*announced"):
+        registry.read(path)
+    (tmp_path / "bundle.out").write_text("# Bundle file v0.3\n1000000 20000000\n")
+    with pytest.raises(PhotogrammetryError, match=r"bundle\.out line 2"):
+        registry.read(tmp_path / "bundle.out")
+
+
+def test_deep_nesting(tmp_path: Path) -> None:
+    (tmp_path / "d.json").write_text('{"a":' + "[" * 100000)
+    with pytest.raises(PhotogrammetryError, match=r"d\.json"):
+        registry.read(tmp_path / "d.json", "opensfm")
