@@ -9,6 +9,7 @@ from pathlib import Path
 KINDS = {
     "clusters": "33 control points, narrow clusters: the design of the orthogonal single-image orientation paper",
     "fov": "field of view, relief, number of points, noise and prior quality",
+    "ono": "free networks of long focal length: Ono & Hattori's tables over many runs, their field geometry",
     "starts": "initial values: success and cost of every start",
 }
 

@@ -31,6 +31,15 @@ def figure(width: float = 7.0, height: float = 4.2, **kwargs: Any) -> tuple[Any,
     return fig, fig.subplots(**kwargs)
 
 
+def plain_ticks(ax: Any) -> None:
+    """Numbers on a logarithmic y axis as people write them."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    ax.yaxis.set_major_locator(LogLocator(10, (1.0, 2.0, 5.0)))
+    ax.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    ax.yaxis.set_minor_formatter(NullFormatter())
+
+
 def save(fig: Any, folder: Path, name: str) -> list[Path]:
     """PNG (120 dpi) and SVG of a figure, the SVG with text as text and without dates so that it can be compared."""
     from matplotlib import rc_context

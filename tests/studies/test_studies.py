@@ -175,4 +175,4 @@ def test_study_command_writes_page_tables_and_figures(tmp_path, capsys, monkeypa
     figures = re.findall(r"\]\((\S+\.png)\)", text)
     assert "--runs 4" in text and len(figures) == 3 and all((tmp_path / name).exists() for name in figures)
     assert (tmp_path / "fov-reversal.svg").stat().st_size > 1000
-    assert set(KINDS) == {"clusters", "fov", "starts"}
+    assert set(KINDS) >= {"clusters", "fov", "starts", "ono"}

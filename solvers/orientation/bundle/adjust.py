@@ -109,14 +109,15 @@ def _orthogonal(perspective: Bundle, x0: np.ndarray, data: Given, said: tuple[st
     options = FIXED_POINT if request.loss is None else replace(FIXED_POINT, step_tolerance=1e-4)
     last = solve(problem, x0, options).last
     if last.stop != "step":
-        aimed = replace(problem, aimed=True)
-        if solve(aimed, x0, AIMED).last.stop == "step":
-            warnings.append(f"plain repetition of the transformation does not settle here ({last.stop}): every step was aimed at "
-                            "the fixed point")
-            problem, options = aimed, AIMED
-        else:
-            warnings.append(f"repeating the transformation leads nowhere here ({last.stop}): the orthogonal model is for narrow "
-                            "fields of view and objects with relief; take --model perspective")
+        better = solve(perspective, x0, BUNDLE).last.x
+        for other, how in ((problem, options), (replace(problem, aimed=True), AIMED)):
+            if solve(other, better, how).last.stop == "step":
+                aimed = " and every step was aimed at the fixed point" if other is not problem else ""
+                warnings.append(f"repeating the transformation does not settle from these start values ({last.stop}): it was begun "
+                                f"at the perspective solution{aimed}")
+                return BundleStart(other, better, how, manifest, data, tuple(warnings))
+        warnings.append(f"repeating the transformation leads nowhere here ({last.stop}): the orthogonal model is for narrow "
+                        "fields of view and objects with relief; take --model perspective")
     return BundleStart(problem, x0, options, manifest, data, tuple(warnings))
 
 

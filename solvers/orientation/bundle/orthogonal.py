@@ -24,6 +24,8 @@ from .datum import motions
 from .network import Network
 from .problem import Bundle
 
+TURN = 0.1
+"""Largest rotation of an image in one step of the repetition [rad]."""
 NULL = 1e-11
 """Eigenvalue of the scaled normal matrix, over the largest, that counts as zero."""
 
@@ -218,9 +220,9 @@ class OrthogonalBundle(Bundle):
     def normal(self, x: np.ndarray) -> Dense:
         linear = self.linear(x)
         plain = linear.normal()
-        if not self.aimed:
-            return plain
-        return Aimed(plain.n, plain.gradient, plain.h, plain.w, aim=self._aim(x, linear))
+        if self.aimed:
+            return Aimed(plain.n, plain.gradient, plain.h, plain.w, aim=self._aim(x, linear))
+        return plain if self.frozen else Held(plain.n, plain.gradient, plain.h, plain.w, images=len(self.network.images))
 
     def _aim(self, x: np.ndarray, linear: Linear) -> np.ndarray:
         """Newton's step to the fixed point, in the tangent of `retract`: the residuals' own derivatives on one side."""
@@ -252,6 +254,19 @@ class OrthogonalBundle(Bundle):
                 if net.count[net.camera[i]]:  # M, s and t are held while c changes: the camera backs off along its axis
                     dx[6 * i:6 * i + 3] += p.exterior.m[2] / p.scale * dx[6 * m + net.first[net.camera[i]]]
         return super().retract(x, dx)
+
+
+@dataclass(frozen=True)
+class Held(Dense):
+    """Normal equations whose step is shortened where an image would turn by more than TURN: far from its fixed point, the
+    repetition of the transformation runs away from steps that are too long (docs/studies/ono.md)."""
+
+    images: int = 0
+
+    def step(self, damping: float) -> tuple[np.ndarray, np.ndarray]:
+        dx, multipliers = super().step(damping)
+        turn = float(np.linalg.norm(dx[:6 * self.images].reshape(-1, 6)[:, 3:], axis=1).max(initial=0.0))
+        return dx * min(1.0, TURN / max(turn, 1e-300)), multipliers
 
 
 @dataclass(frozen=True)
