@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from . import cli_bundle, cli_exchange, cli_matching, cli_mosaic, cli_orientation, cli_project, cli_report
+from . import cli_bundle, cli_exchange, cli_matching, cli_monitoring, cli_mosaic, cli_orientation, cli_project, cli_report
 from .cli_parts import PROG, Parser, cannot
 from .errors import PhotogrammetryError
 
@@ -47,7 +47,7 @@ def parser() -> Parser:
                  epilog="Without a command the viewer opens on the demo project.")
     top.add_argument("--version", action="version", version=f"{PROG} {_version()}")
     commands = top.add_subparsers(metavar="COMMAND", required=True, parser_class=Parser)
-    for room in (cli_project, cli_orientation, cli_bundle, cli_matching, cli_mosaic, cli_report, cli_exchange):
+    for room in (cli_project, cli_orientation, cli_bundle, cli_matching, cli_mosaic, cli_monitoring, cli_report, cli_exchange):
         room.add(commands)
     return top
 

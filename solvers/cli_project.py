@@ -10,7 +10,7 @@ from typing import Any
 
 from .cli_parts import PROG, Parser, add_command, coordinate_options, count, emit, number_or_text, positive
 
-SIMULATIONS = ("uav_cluster", "ono_stereo", "ono_triplet", "field_long_range", "uav_block", "calibration_plate")
+SIMULATIONS = ("uav_cluster", "ono_stereo", "ono_triplet", "field_long_range", "uav_block", "calibration_plate", "cliff_epochs")
 
 
 def add(commands: Any) -> None:
@@ -99,8 +99,13 @@ def _init(args: argparse.Namespace) -> int:
 
 
 def _simulate(args: argparse.Namespace) -> int:
-    from .workflows import simulate_project
+    from .simulation import SERIES
+    from .workflows import simulate_epochs, simulate_project
 
+    if args.kind in SERIES:
+        folders = simulate_epochs(args.kind, args.output, seed=args.seed)
+        value = {"projects": [str(f) for f in folders], "kind": args.kind, "seed": args.seed}
+        return emit(args, value, f"{args.output}: {len(folders)} epochs\nnext: {PROG} compare {' '.join(map(str, folders))}")
     block = simulate_project(args.kind, args.output, seed=args.seed, reduction=args.reduction)
     value = {"project": args.output, "kind": args.kind, "seed": args.seed, "images": [i.name for i in block.images],
              "points": len(block.points), "observations": len(block.observations)}

@@ -170,6 +170,28 @@ def simulate_project(kind: str, folder: Path | str, *, seed: int = 0, reduction:
     return block
 
 
+def simulate_epochs(kind: str, folder: Path | str, *, seed: int = 0) -> list[Path]:
+    """Projects with known truth that are epochs of one network: folder/epoch1, folder/epoch2 ..; all or none are written."""
+    from .simulation import SERIES
+
+    folder = Path(folder)
+    made = SERIES[kind](seed)
+    folders = [folder / f"epoch{k + 1}" for k in range(len(made))]
+    must_be_free(folder)
+    for at in folders:
+        must_be_free(at)
+    done: list[Path] = []
+    try:
+        for at, simulated in zip(folders, made, strict=True):
+            done.append(at)
+            write_new(simulated.block, at, "center", simulated.truth)
+    except BaseException:
+        for at in done:
+            shutil.rmtree(at, ignore_errors=True)
+        raise
+    return folders
+
+
 # -- log ------------------------------------------------------------------------------------------------------------------
 
 

@@ -243,6 +243,6 @@ def test_refusal_as_a_user_sees_it(site: Path) -> None:
 
 def test_every_simulation_is_offered() -> None:
     from solvers.cli_project import SIMULATIONS
-    from solvers.simulation import KINDS
+    from solvers.simulation import KINDS, SERIES
 
-    assert set(SIMULATIONS) == set(KINDS)
+    assert set(SIMULATIONS) == {*KINDS, *SERIES}

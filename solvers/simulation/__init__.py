@@ -9,16 +9,21 @@ from ..errors import BadProject
 from .close_range import calibration_plate, field_long_range, ono_stereo, ono_triplet
 from .clusters import uav_cluster
 from .flights import uav_block
+from .monitoring import cliff_epochs
 from .scene import Render, Simulated
 from .terrain import Terrain
 
-__all__ = ["KINDS", "Render", "Simulated", "Terrain", "calibration_plate", "field_long_range", "ono_stereo", "ono_triplet",
+__all__ = ["KINDS", "SERIES", "Render", "Simulated", "Terrain", "calibration_plate",
+           "cliff_epochs", "field_long_range", "ono_stereo", "ono_triplet",
            "simulate", "uav_block", "uav_cluster"]
 
 KINDS: Mapping[str, Callable[..., Simulated]] = {
     "uav_cluster": uav_cluster, "ono_stereo": ono_stereo, "ono_triplet": ono_triplet, "field_long_range": field_long_range,
     "uav_block": uav_block, "calibration_plate": calibration_plate,
 }
+
+SERIES: Mapping[str, Callable[..., tuple[Simulated, ...]]] = {"cliff_epochs": cliff_epochs}
+"""Kinds that are several projects: epochs of one network."""
 
 
 def simulate(kind: str, seed: int = 0, **options: Any) -> Simulated:

@@ -113,8 +113,8 @@ def _orthogonal(perspective: Bundle, x0: np.ndarray, data: Given, said: tuple[st
         for other, how in ((problem, options), (replace(problem, aimed=True), AIMED)):
             if solve(other, better, how).last.stop == "step":
                 aimed = " and every step was aimed at the fixed point" if other is not problem else ""
-                warnings.append(f"repeating the transformation does not settle from these start values ({last.stop}): it was begun "
-                                f"at the perspective solution{aimed}")
+                warnings.append("repeating the transformation does not settle from these start values "
+                                f"({last.stop}): it was begun at the perspective solution{aimed}")
                 return BundleStart(other, better, how, manifest, data, tuple(warnings))
         warnings.append(f"repeating the transformation leads nowhere here ({last.stop}): the orthogonal model is for narrow "
                         "fields of view and objects with relief; take --model perspective")

@@ -76,11 +76,13 @@ def pins(network: Network, x: np.ndarray) -> tuple[int, int, int]:
     return a, b, int(np.argmax(np.abs(base[b])))
 
 
-def similarity(source: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """Scale, rotation (3, 3) and shift (3,) of least squares: target = scale R source + t, points (n, 3)."""
-    a, b = source.mean(axis=0), target.mean(axis=0)
-    u, d, vt = np.linalg.svd((target - b).T @ (source - a))
+def similarity(source: np.ndarray, target: np.ndarray,
+               weight: np.ndarray | None = None) -> tuple[float, np.ndarray, np.ndarray]:
+    """Scale, rotation (3, 3) and shift (3,) of least squares: target = scale R source + t, points (n, 3), weights (n,)."""
+    w = np.ones(len(source)) if weight is None else weight
+    a, b = w @ source / w.sum(), w @ target / w.sum()
+    u, d, vt = np.linalg.svd((target - b).T @ (w[:, None] * (source - a)))
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt)) or 1.0])
     r = (u * sign) @ vt
-    scale = float((d * sign).sum() / ((source - a) ** 2).sum())
+    scale = float((d * sign).sum() / (w @ ((source - a) ** 2).sum(axis=1)))
     return scale, r, b - scale * r @ a

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...adjustment import Linear
 from ...adjustment.precision import BAARDA_DELTA0
 from ...errors import DegenerateGeometry
 from .orthogonal import OrthogonalBundle
@@ -21,6 +22,26 @@ def orthogonal_statistics(problem: OrthogonalBundle, x: np.ndarray) -> Statistic
     """Statistics of an orthogonal bundle at its solution, a priori. Raises DegenerateGeometry naming what is free."""
     net = problem.network
     m, f, live = net.sizes
+    n = len(net.image)
+    linear, flat_j, gain, deviation, q = propagated(problem, x)
+    spread = np.eye(len(flat_j)) - flat_j @ gain  # residuals of observations
+    redundancy = np.diag(spread)[:2 * n].reshape(n, 2)
+    own = np.sqrt(((spread * deviation) ** 2).sum(axis=1))[:2 * n].reshape(n, 2)
+    checked = (redundancy > 1e-9) & (own > 1e-6 * net.sigma[:, None])
+    own, r = np.where(checked, own, 1.0), np.where(checked, redundancy, 1.0)
+    factor = problem.factor(*problem.image_rows(x))
+    return Statistics(
+        poses=q[:6 * m, :6 * m].reshape(m, 6, m, 6)[np.arange(m), :, np.arange(m), :],
+        interior=q[6 * m:6 * m + f, 6 * m:6 * m + f],
+        points=q[6 * m + f:, 6 * m + f:].reshape(live, 3, live, 3)[np.arange(live), :, np.arange(live), :],
+        redundancy=redundancy, w=np.where(checked, linear.v[:n] / own, np.nan),
+        detectable=np.where(checked, BAARDA_DELTA0 * own / r, np.inf), factor=factor)
+
+
+def propagated(problem: OrthogonalBundle, x: np.ndarray) -> tuple[Linear, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The linear problem, derivatives (2 o, u) and gain (u, 2 o) in scaled unknowns, standard deviations (2 o,) of the
+    observations and covariance (u, u) of the unknowns."""
+    net = problem.network
     linear = problem.linear(x)
     g, p, n = linear.j, linear.p, len(net.image)
     u = g.shape[2]
@@ -35,18 +56,7 @@ def orthogonal_statistics(problem: OrthogonalBundle, x: np.ndarray) -> Statistic
     if problem.frozen:  # whose steps of c take the cameras with them
         along = problem.steps_of(np.eye(u), x)
         q = along @ q @ along.T
-    spread = np.eye(2 * len(g)) - flat_j @ gain  # residuals of observations
-    redundancy = np.diag(spread)[:2 * n].reshape(n, 2)
-    own = np.sqrt(((spread * deviation) ** 2).sum(axis=1))[:2 * n].reshape(n, 2)
-    checked = (redundancy > 1e-9) & (own > 1e-6 * net.sigma[:, None])
-    own, r = np.where(checked, own, 1.0), np.where(checked, redundancy, 1.0)
-    factor = problem.factor(*problem.image_rows(x))
-    return Statistics(
-        poses=q[:6 * m, :6 * m].reshape(m, 6, m, 6)[np.arange(m), :, np.arange(m), :],
-        interior=q[6 * m:6 * m + f, 6 * m:6 * m + f],
-        points=q[6 * m + f:, 6 * m + f:].reshape(live, 3, live, 3)[np.arange(live), :, np.arange(live), :],
-        redundancy=redundancy, w=np.where(checked, linear.v[:n] / own, np.nan),
-        detectable=np.where(checked, BAARDA_DELTA0 * own / r, np.inf), factor=factor)
+    return linear, flat_j, gain, deviation, q
 
 
 def _inverse(a: np.ndarray, h: np.ndarray | None, scale: np.ndarray, problem: OrthogonalBundle, x: np.ndarray) -> np.ndarray:
