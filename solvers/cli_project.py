@@ -27,6 +27,8 @@ def add(commands: Any) -> None:
     init.add_argument("--map", metavar="MAP",
                       help="columns of the list by name or number: name=ID,X=East,Y=North,Z=H[,image=..,col=..,row=..]")
     init.add_argument("--crs", help="coordinate system of the project: EPSG code or compound code, WKT, a .prj file, or local")
+    init.add_argument("--control-format", metavar="FORMAT",
+                      help="format of the list where it is not found out, such as gcp-pix4dmatic (collinea convert --list)")
     init.add_argument("--control-crs", metavar="CRS", help="coordinate system of the list, over what it says itself")
     coordinate_options(init)
     init.add_argument("--undulation", type=number_or_text, metavar="M",
@@ -87,7 +89,8 @@ def _init(args: argparse.Namespace) -> int:
     from .workflows import init_project
 
     ask = ask_at_terminal()
-    made = init_project(args.files, args.output, mapping=args.map, project_crs=args.crs, control_crs=args.control_crs,
+    made = init_project(args.files, args.output, mapping=args.map,
+                        control_format=args.control_format, project_crs=args.crs, control_crs=args.control_crs,
                         swap_xy=args.swap_xy, unit=args.unit, height_unit=args.height_unit, pixel_origin=args.pixel_origin,
                         pixel_um=args.pixel_um, c_mm=args.c_mm, undulation=args.undulation, angles=args.angles,
                         angle_unit=args.angle_unit, ask=ask)

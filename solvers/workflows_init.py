@@ -40,10 +40,12 @@ class Initialised(NamedTuple):
 
 @dataclass(frozen=True)
 class Given:
-    """What a person said. project_crs: of the project. control_crs: of the list, over what it says itself; swap_xy, unit,
+    """What a person said. control_format: of the list, as `convert` names it.
+    project_crs: of the project. control_crs: of the list, over what it says itself; swap_xy, unit,
     height_unit: how its coordinates are meant. undulation: metres, "auto" or the file of a geoid grid."""
 
     mapping: str | None = None
+    control_format: str | None = None
     project_crs: str | None = None
     control_crs: str | None = None
     swap_xy: bool = False
@@ -103,7 +105,7 @@ def _beside(tables: Sequence[Path], given: Given, exifs: Sequence[Exif], ask: As
     origin = None
     size = (exifs[0].width, exifs[0].height) if exifs else None
     for table in tables:
-        name = registry.sniff(table)
+        name = given.control_format if given.control_format and table == _list_of(tables) else registry.sniff(table)
         name = "gcp" if given.mapping and name in ("gcp", "geo", "opk", "patb", "bal") else name
         options = Reading(given.control_crs or given.project_crs, given.angles, given.angle_unit, size, given.mapping,
                           given.pixel_origin,
@@ -122,6 +124,12 @@ def _beside(tables: Sequence[Path], given: Given, exifs: Sequence[Exif], ask: As
         found[kind] = (table, value)
     control, calibration, orientations = (found[k][1] if k in found else None for k in _WORDS)
     return Beside(control, origin, calibration, orientations)
+
+
+def _list_of(tables: Sequence[Path]) -> Path | None:
+    """The file that is the list: the first that is nothing else."""
+    kinds = {t: registry.sniff(t) for t in tables}
+    return next((t for t, k in kinds.items() if k.startswith("gcp")), tables[0] if len(tables) == 1 else None)
 
 
 _WORDS = {"control": "a list of control points", "calibration": "a calibration", "orientations": "a file of orientations or "

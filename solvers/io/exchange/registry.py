@@ -232,10 +232,20 @@ def _text(head: str) -> str | None:
     tests = {"cal-opencv": head.startswith("%YAML") or "!!opencv-matrix" in head, "bundler": bundler.looks_like(head),
              "pix4d": pix4d.looks_like(head), "cal-pix4d": calibration.looks_like_cam(head),
              "cal-australis": calibration.looks_like_australis(head), "qgis": control.looks_like_qgis(head),
-             "opk": opk.looks_like(Path(), head), "patb": opk.looks_like_patb(head), "bal": bundler.looks_like_bal(content),
+             "opk": opk.looks_like(Path(), head) or _bare_angles(content), "patb": opk.looks_like_patb(head),
+             "bal": bundler.looks_like_bal(content),
              "mrk": bool(re.search(r",\s*Lat\b.*,\s*Lon\b.*,\s*Ellh\b", first)), "geo": _positions(first)}
     found = next((name for name, yes in tests.items() if yes), None)
     return found or ("gcp" if content and "\0" not in head and "\ufffd" not in head else None)
+
+
+def _bare_angles(lines: list[str]) -> bool:
+    """Whether lines without a header are image, X, Y, Z and three angles: one is negative, so they are no standard errors."""
+    rows = [re.split(r"[,;\t]\s*|\s+", line.strip()) for line in lines[:200]]
+    if not rows or any(len(r) != 7 or not all(NUMBER.fullmatch(c) for c in r[1:]) for r in rows):
+        return False
+    last = np.array([[float(c) for c in r[4:]] for r in rows])
+    return bool((last < 0).any() and np.abs(last).max() <= 400)
 
 
 def _positions(header: str) -> bool:
