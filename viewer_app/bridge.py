@@ -257,11 +257,13 @@ class Wire:
 
     def surface(self, kind: str) -> str:
         """HTML attributes of an element that says where it was clicked: value [u, v], 0..1 from its top left corner; and what
-        rectangle was dragged: value [u, v, u, v], kind with "-box" appended."""
+        rectangle was dragged: value [u, v, u, v], kind with "-box" appended, or with Shift or the middle button "-pan"; the wheel
+        says [u, v, width of the element in 10,000 px], kind with "-in" or "-out" appended."""
         if not self.works:
             return ""
         return (
             f'data-kind="{html.escape(kind)}" onpointerdown="collinea.down(event)" onclick="collinea.point(event)" '
+            'onwheel="collinea.wheel(event)" '
             'style="cursor:crosshair"'
         )
 
@@ -285,7 +287,7 @@ def parse(text: str) -> tuple[str, Any] | None:
         return kind, value
     numbers = (
         isinstance(value, list)
-        and len(value) in (2, 4)
+        and len(value) in (2, 3, 4)
         and all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in value)
     )
     return (kind, tuple(map(float, value))) if numbers and all(0 <= v <= 1 for v in value) else None

@@ -102,24 +102,35 @@ def photo(folder: Path, block: Any, image: str) -> Photo:
     return Photo(path, small, pane, photo_size(path))
 
 
-def crop(photo: Photo, format_size: tuple[int, int], col: float, row: float, half: int) -> tuple[np.ndarray, float, float]:
+def crop(
+    photo: Photo, format_size: tuple[int, int], col: float, row: float, half: int, pyramid: Path | None = None
+) -> tuple[np.ndarray, float, float]:
     """File pixels (2 half + 1, 2 half + 1, 3) around a pixel of the full photo, and its place (x, y) in them, 0 = first centre.
 
-    The file may be the full photo reduced by a factor: full = (file + 0.5) * factor - 0.5.
+    pyramid: read instead of the file where there is one, for reaching into a very large JPEG takes its time. The file may be
+    the full photo reduced by a factor: full = (file + 0.5) * factor - 0.5.
     """
     x, y = ((v + 0.5) * n / full - 0.5 for v, n, full in zip((col, row), photo.size, format_size, strict=True))
     left, top, side = round(x) - half, round(y) - half, 2 * half + 1
     tile_x, tile_y = left // TILE, top // TILE
-    tile = _tile(photo.path, tile_x * TILE, tile_y * TILE, TILE + side)
+    tile = _tile(photo.path, tile_x * TILE, tile_y * TILE, TILE + side, pyramid)
     i, j = top - tile_y * TILE, left - tile_x * TILE
     return tile[i : i + side, j : j + side], x - left, y - top
 
 
 @lru_cache(maxsize=16)
-def _tile(path: Path, left: int, top: int, side: int) -> np.ndarray:
-    """Pixels of a photo's file; kept, for reaching into a very large JPEG takes its time."""
-    from solvers.io.photos import photo_window
+def _tile(path: Path, left: int, top: int, side: int, pyramid: Path | None) -> np.ndarray:
+    """Pixels of a photo's file, black beyond it; kept."""
+    from solvers.io.photos import photo_size, photo_window
+    from solvers.io.pyramid import read_window
 
+    if pyramid is not None:
+        width, height = photo_size(path)
+        x0, y0, x1, y1 = max(left, 0), max(top, 0), min(left + side, width), min(top + side, height)
+        out = np.zeros((side, side, 3), np.uint8)
+        if x1 > x0 and y1 > y0:
+            out[y0 - top : y1 - top, x0 - left : x1 - left] = read_window(pyramid, x0, y0, x1 - x0, y1 - y0, side)
+        return out
     return photo_window(path, left, top, side, side)
 
 

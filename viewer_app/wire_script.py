@@ -74,8 +74,19 @@ window.collinea = (() => {
     const e = ev.currentTarget;
     if (!dragged) send(e.dataset.kind, place(ev, e.getBoundingClientRect()));
   };
+  let turned = 0, last = 0;
+  const wheel = ev => {
+    ev.preventDefault();
+    turned += ev.deltaY;
+    if (performance.now() - last < 60 || Math.abs(turned) < 20) return;
+    const r = ev.currentTarget.getBoundingClientRect();
+    send(ev.currentTarget.dataset.kind + (turned < 0 ? '-in' : '-out'), [...place(ev, r), clamp(r.width / 10000)]);
+    turned = 0;
+    last = performance.now();
+  };
   const down = ev => {
-    if (ev.button !== 0) return;
+    if (ev.button > 1) return;
+    const pan = ev.shiftKey || ev.button === 1, moved = ev.currentTarget;
     ev.preventDefault();
     dragged = false;
     const kind = ev.currentTarget.dataset.kind, r = ev.currentTarget.getBoundingClientRect(), from = place(ev, r);
@@ -84,6 +95,10 @@ window.collinea = (() => {
       const to = place(e, r), far = Math.hypot(e.clientX - ev.clientX, e.clientY - ev.clientY) > 5;
       if (!box && !far) return;
       dragged = true;
+      if (pan) {
+        moved.style.transform = `translate(${e.clientX - ev.clientX}px,${e.clientY - ev.clientY}px)`;
+        return;
+      }
       if (!box) {
         box = document.body.appendChild(document.createElement('div'));
         box.style.cssText = 'position:fixed;z-index:10000;pointer-events:none;border:1.5px solid #fff;outline:1.5px dashed #000';
@@ -97,12 +112,13 @@ window.collinea = (() => {
       removeEventListener('pointerup', up, true);
       removeEventListener('pointercancel', up, true);
       if (box) box.remove();
-      if (dragged && e.type === 'pointerup') send(kind + '-box', [...from, ...place(e, r)]);
+      moved.style.transform = '';
+      if (dragged && e.type === 'pointerup') send(kind + (pan ? '-pan' : '-box'), [...from, ...place(e, r)]);
     };
     addEventListener('pointermove', move, true);
     addEventListener('pointerup', up, true);
     addEventListener('pointercancel', up, true);
   };
-  return {press, key, change, typed, point, down};
+  return {press, key, change, typed, point, down, wheel};
 })();
 """

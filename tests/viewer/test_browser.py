@@ -18,6 +18,7 @@ from tests.viewer.sessions import HEAVY, Session, camera_path, demo_session, has
 from viewer_app import theme
 from viewer_app.actions import ChooseImage, ChoosePoint, ForgetSpots, Show, Step, UsePoints
 from viewer_app.app import App
+from viewer_app.photo_view import percent, window
 from viewer_app.scene import scene
 from viewer_app.spots import plotted
 from viewer_app.state import COMPARED
@@ -323,6 +324,53 @@ def test_a_point_is_measured_on_the_photo_to_half_a_pixel(session: Session) -> N
     assert np.allclose(now.pixel[(now.image == i) & (now.point == j)][0], [mark.col, mark.row]) and len(now) == len(of)
     v.hotkey("Control+z")
     v.wait_until(lambda: app.state.block is state.block, "undo")
+    v.open_tab("Iterations")
+
+
+def test_the_photo_is_zoomed_to_800_percent_and_a_mark_set_to_a_tenth_of_a_pixel(session: Session) -> None:
+    app, v = session
+    v.open_tab("Photo")
+    state, name = app.state, app.state.control()[1]
+    j = state.block.point_index(name)
+    row = next(r for r in state.block.seen_in(state.image) if state.block.observations.point[r] == j)
+    app.emit(ChoosePoint(name))
+    v.click_button("800 %")
+    v.wait_until(lambda: percent(app.state) > 799, "the zoom")
+    v.page.locator("[data-percent]", has_text="800 %").wait_for()
+    picture = v.page.get_by_role("img", name="Photo ")
+    box, shown = picture.bounding_box(), window(app.state)
+    assert box and shown.width < box["width"] / 7
+    target = state.block.observations.pixel[row] + [3.3, -2.4]
+    u, w = shown.place(*target)
+    v.page.mouse.click(box["x"] + u * box["width"], box["y"] + w * box["height"])
+    v.wait_until(lambda: app.state.mark is not None, "the mark")
+    mark = app.state.mark
+    assert mark and np.abs(np.array([mark.col, mark.row]) - target).max() <= 0.1
+    v.click_button("Drop mark")
+    v.click_button("whole")
+    v.wait_until(lambda: window(app.state).width == state.block.camera_of(state.image).width, "the whole photo")
+    v.open_tab("Iterations")
+
+
+def test_wheel_and_shift_drag_move_about_the_photo(session: Session) -> None:
+    app, v = session
+    v.open_tab("Photo")
+    camera = app.state.block.camera_of(app.state.image)
+    place = photo_place(app, v, 0.6 * camera.width, 0.4 * camera.height)
+    v.page.mouse.move(*place)
+    v.page.mouse.wheel(0, -240)
+    v.wait_until(lambda: window(app.state).width < camera.width, "the zoom")
+    shown = window(app.state)
+    assert np.hypot(*np.subtract(shown.pixel(0.6, 0.4), (0.6 * camera.width, 0.4 * camera.height))) < camera.width / 100
+    v.page.keyboard.down("Shift")
+    v.page.mouse.down()
+    v.page.mouse.move(place[0] - 60, place[1] - 20, steps=4)
+    v.page.mouse.up()
+    v.page.keyboard.up("Shift")
+    v.wait_until(lambda: window(app.state).left > shown.left, "the photo to move")
+    assert app.state.mark is None and not app.state.work.off
+    v.click_button("whole")
+    v.wait_until(lambda: window(app.state).width == camera.width, "the whole photo")
     v.open_tab("Iterations")
 
 

@@ -6,11 +6,25 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import viser
 
 from ..actions import Action, Aim, Clicking, ForgetSpots, Place, Plot, Show, Unmark, UseBox
 from ..bridge import Wire
 from ..ground import nice
 from ..loading import crop
+from ..photo_view import (
+    Cut,
+    PanPhoto,
+    ShowWhole,
+    ZoomPhoto,
+    ZoomToMark,
+    cut,
+    percent,
+    picture,
+    pyramid,
+    tasks,
+    window,
+)
 from ..scene import Sight, sight
 from ..spots import plotted
 from ..state import MODELS, Photo, State, Work
@@ -19,6 +33,7 @@ from ..theme import CHECK, CONTROL, INITIAL, RESIDUAL
 from .widgets import BOX, MUTED, Html, bind, css, decimals, esc, jpeg, prop, put, swatch, table
 
 CLICKS = {"measures the point": "measure", "gives ground coordinates": "monoplot"}
+ZOOMS = ("+", "−", "whole", "800 %")
 HALF = 24
 """Half side of the magnifier, pixels of the file."""
 
@@ -36,6 +51,18 @@ class PhotoPanel:
             "the GCPs). A dragged rectangle always uses only the control points within it.",
         )
         bind(self._click, emit, lambda value: Clicking(CLICKS.get(value, "")))
+        buttons = gui.add_button_group(
+            "Zoom",
+            ZOOMS,
+            hint="Closer, farther, the whole photo, or 800 % around the mark or the chosen point. Keys: Z, X, 0, 8.",
+        )
+        zooms = dict(zip(ZOOMS, (ZoomPhoto(2.0), ZoomPhoto(0.5), ShowWhole(), ZoomToMark()), strict=True))
+
+        @buttons.on_click
+        async def _(event: viser.GuiEvent) -> None:
+            if buttons.value in zooms:
+                emit(zooms[buttons.value])
+
         self._picture = Html(gui)  # the picture itself, sent once per photo
         self._overlay = Html(gui)
         self._vectors = gui.add_slider(
@@ -57,7 +84,9 @@ class PhotoPanel:
         photo = state.assets.photos.get(state.image)
         put(self._vectors, state.view.photo_vectors)
         prop(self._vectors, "max", max(1000.0, state.view.photo_vectors))
-        self._picture.set("" if photo is None else f"<style>:root{{--collinea-photo:url({_encoded(photo)})}}</style>")
+        part = None if photo is None else cut(state, photo)
+        coded = "" if photo is None else _encoded(photo) if part is None else _coded(part)
+        self._picture.set("" if photo is None else f"<style>:root{{--collinea-photo:url({coded})}}</style>")
         self._overlay.set(photo_html(state, self._wire))
         self._magnifier.set("" if photo is None or state.mark is None else magnifier_html(state, photo, self._wire))
         for button in (self._place, self._unmark):
@@ -65,6 +94,11 @@ class PhotoPanel:
         put(self._click, next(words for words, what in CLICKS.items() if what == state.click))
         self._spots.set(spots_html(state))
         prop(self._forget, "visible", bool(state.spots))
+
+
+@lru_cache(maxsize=24)
+def _coded(part: Cut) -> str:
+    return jpeg(picture(*part), 88)
 
 
 @lru_cache(maxsize=4)
@@ -78,7 +112,8 @@ def photo_html(state: State, wire: Wire) -> str:
         return f"<div {BOX}>This project has no images yet.</div>"
     camera, has = state.block.camera_of(state.image), state.image in state.assets.photos
     seen = next((s for m in MODELS if (s := sight(state, m)) is not None), None)
-    unit = camera.width / 420
+    shown = window(state)
+    unit = shown.width / 420
     scale = 0.0 if seen is None else _scale(state, seen)
     shapes = _observations(state.work, state.image, state.point, unit) + ("" if seen is None else _residuals(seen, scale, unit))
     if state.mark is not None:
@@ -89,8 +124,10 @@ def photo_html(state: State, wire: Wire) -> str:
         )
     shapes += _places(state, unit)
     background = "background:var(--collinea-photo) 0 0/100% 100%" if has else "background:rgba(128,128,128,.2)"
+    shape = f"width:min(100%,calc(62vh*{camera.width / camera.height:.4f}))"
+    grain = "image-rendering:pixelated;" if percent(state) >= 150 else ""
     surface = wire.surface("photo").replace(
-        'style="cursor:crosshair"', f'style="cursor:crosshair;display:block;width:100%;{background}"'
+        'style="cursor:crosshair"', f'style="cursor:crosshair;display:block;overflow:hidden;{grain}{shape};{background}"'
     )
     target = f"click to mark <b>{esc(state.point)}</b>" if state.point else "choose a point, then click the photo to mark it"
     if state.click == "monoplot":
@@ -98,10 +135,12 @@ def photo_html(state: State, wire: Wire) -> str:
     missing = "" if has else f"<div {MUTED}>No photo: measurements only.</div>"
     return (
         f"<div {BOX}><div>{esc(state.image)} <span {MUTED}>{camera.width} × {camera.height} px ·</span> {target}</div>{missing}"
-        f'<svg role="img" aria-label="Photo {esc(state.image)}" viewBox="0 0 {camera.width} {camera.height}" '
+        f'<svg role="img" aria-label="Photo {esc(state.image)}" viewBox="{shown.left:.6f} {shown.top:.6f} '
+        f'{shown.width:.6f} {shown.height:.6f}" '
         f"{surface}>{shapes}</svg>"
-        f"<div {MUTED}>circle: observed · {swatch(RESIDUAL)}residual × {scale:g} · "
-        f"drag a rectangle to use only the GCPs in it</div></div>"
+        f"<div {MUTED}><span data-percent>{percent(state):.0f} %</span> · "
+        f"circle: observed · {swatch(RESIDUAL)}residual × {scale:g} · "
+        f"wheel zooms, Shift+drag moves, a dragged rectangle uses only the GCPs in it</div></div>"
     )
 
 
@@ -156,7 +195,7 @@ def magnifier_html(state: State, photo: Photo, wire: Wire) -> str:
     """File pixels around the mark, enlarged; a click moves the mark there, the arrows by a tenth of a file pixel."""
     assert state.mark is not None
     camera = state.block.camera_of(state.image)
-    pixels, x, y = crop(photo, (camera.width, camera.height), state.mark.col, state.mark.row, HALF)
+    pixels, x, y = crop(photo, (camera.width, camera.height), state.mark.col, state.mark.row, HALF, pyramid(state, photo))
     side, x, y = 2 * HALF + 1, x + 0.5, y + 0.5
     surface = wire.surface("magnifier").replace(
         'style="cursor:crosshair"', 'style="cursor:crosshair;display:block;width:100%;max-width:250px"'
@@ -208,8 +247,17 @@ def spots_html(state: State) -> str:
             continue
         e = place.ellipse
         places = decimals(e.semi_major_m, 3)
-        rows.append(("", (f"{number}", pixel, *(f"{v:.{places}f}" for v in place.ground),
-                          f"{e.semi_major_m:.2g} × {e.semi_minor_m:.2g}, {e.azimuth_deg:.0f}°")))
+        rows.append(
+            (
+                "",
+                (
+                    f"{number}",
+                    pixel,
+                    *(f"{v:.{places}f}" for v in place.ground),
+                    f"{e.semi_major_m:.2g} × {e.semi_minor_m:.2g}, {e.azimuth_deg:.0f}°",
+                ),
+            )
+        )
         said += [f"{number}: {w}" for w in place.warnings]
         on = f"<div {MUTED}>on {esc(place.surface)}; 95 % ellipse: semi-axes, azimuth of the longer one</div>"
     return (
@@ -235,8 +283,20 @@ def _pixels(state: State, value: Any, n: int) -> list[float] | None:
     """Pixels of the chosen photo from shares 0..1 of its sides."""
     if not (isinstance(value, tuple) and len(value) == n and state.block.images):
         return None
-    camera = state.block.camera_of(state.image)
-    return [v * size - 0.5 for v, size in zip(value, (camera.width, camera.height) * 2, strict=False)]
+    shown = window(state)
+    return [c for u, v in zip(value[::2], value[1::2], strict=True) for c in shown.pixel(u, v)]
+
+
+def _heard_in(state: State, value: Any) -> Action | None:
+    return ZoomPhoto(1.5, value[0], value[1], value[2] * 10_000) if isinstance(value, tuple) and len(value) == 3 else None
+
+
+def _heard_out(state: State, value: Any) -> Action | None:
+    return ZoomPhoto(1 / 1.5, value[0], value[1], value[2] * 10_000) if isinstance(value, tuple) and len(value) == 3 else None
+
+
+def _heard_pan(state: State, value: Any) -> Action | None:
+    return PanPhoto(value[0] - value[2], value[1] - value[3]) if isinstance(value, tuple) and len(value) == 4 else None
 
 
 def _heard_magnifier(state: State, value: Any) -> Action | None:
@@ -256,6 +316,23 @@ TAB = Tab(
     PhotoPanel,
     place="below",
     order=20,
-    commands=(Command("Place mark", Place()), Command("Drop mark", Unmark()), Command("Forget places", ForgetSpots())),
-    heard={"photo": _heard_photo, "photo-box": _heard_box, "magnifier": _heard_magnifier, "nudge": _heard_nudge},
+    commands=(
+        Command("Place mark", Place(), "M", hint="The mark becomes the observation of its point."),
+        Command("Drop mark", Unmark()),
+        Command("Forget places", ForgetSpots()),
+        Command("Zoom photo in", ZoomPhoto(2.0), "Z"),
+        Command("Zoom photo out", ZoomPhoto(0.5), "X"),
+        Command("Whole photo", ShowWhole(), "0"),
+        Command("Zoom photo to the mark or point", ZoomToMark(), "8", hint="One photo pixel as eight of the page."),
+    ),
+    tasks=tasks,
+    heard={
+        "photo-in": _heard_in,
+        "photo-out": _heard_out,
+        "photo-pan": _heard_pan,
+        "photo": _heard_photo,
+        "photo-box": _heard_box,
+        "magnifier": _heard_magnifier,
+        "nudge": _heard_nudge,
+    },
 )
