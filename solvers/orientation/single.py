@@ -16,6 +16,7 @@ from ..errors import BadProject, DegenerateGeometry
 from ..geometry import Exterior, LocalFrame, angle_derivatives
 from .control import Control, control_of, geometry_warnings, require
 from .initial import Candidate, apart, candidates
+from .one_pass import one_pass_covariance
 from .oriented import to_vector
 from .orthogonal import Form, Orthogonal
 from .orthogonal_c import OrthogonalFreeC
@@ -309,8 +310,11 @@ def _orthogonal_covariance(start: Start, problem: Orthogonal, trace: Trace, loca
         said = [f"one pass: {leak.radius:.2f} of an error of the approximate orientation comes through"]
         if prior is None or prior.count < 6:
             return leak.noise, [*said, "the approximate orientation has no sigmas: its own error is not in the standard errors"]
-        inverse = np.linalg.inv(prior.root)
-        return leak.noise + leak.leak @ (inverse @ inverse.T) @ leak.leak.T, said
+        covariance, bent = one_pass_covariance(problem, local, prior)
+        if bent:
+            said.append("the approximate orientation is too uncertain for linear error propagation: the standard errors are root "
+                        "mean square errors, found by passes through approximations on either side of it")
+        return covariance, said
     said = []
     used = start.control.take(start.used)
     if leak.radius >= 1:

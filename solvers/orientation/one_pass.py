@@ -1,0 +1,50 @@
+"""One orthogonal pass through an uncertain approximation: its error where the linear leak no longer tells it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..adjustment import Options, solve
+from ..cameras import project
+from ..geometry import Exterior, exp, log
+from .orthogonal import Orthogonal
+from .resection import PriorOrientation
+
+CERTAIN_DEG = 0.5
+"""Length of a prior's rotation error below which its leak is linear."""
+PASS = Options.gauss_newton(max_iterations=8, step_tolerance=1e-3)
+
+
+def one_pass_error(problem: Orthogonal, at: Exterior, prior: PriorOrientation) -> np.ndarray:
+    """(6, 6) mean square of the error of (centre [m], left rotation vector [rad]) of one pass, its bias included.
+
+    C_n + K Sigma_0 K^T is its linear part. Here the pass is run, without noise, through approximations on both ends of
+    sqrt(3) sigma along six axes of the prior: exact in each axis to the fourth moment of the error, mixed moments left out.
+    Reference: Julier & Uhlmann 2004, "Unscented filtering and nonlinear estimation", with kappa = 3 - n.
+    """
+    perfect = replace(problem, pixels=project(problem.interior, at, problem.points), frozen=None)
+    axes = np.sqrt(3) * np.linalg.inv(prior.root)
+    out = problem.statistics(at).noise.copy()
+    for d in (*axes.T, *-axes.T):
+        frozen = perfect.refrozen(Exterior(exp(d[3:]) @ at.m, at.centre + d[:3]))
+        if not np.isfinite(frozen.cost(x := frozen.start(frozen.affine_of(at)))):
+            return np.full((6, 6), np.inf)
+        got = Exterior.from_vector(solve(frozen, x, PASS).last.x)
+        error = np.concatenate([got.centre - at.centre, log(got.m @ at.m.T)])
+        out += np.outer(error, error) / 6
+    return out
+
+
+def one_pass_covariance(problem: Orthogonal, at: Exterior, prior: PriorOrientation) -> tuple[np.ndarray, bool]:
+    """(6, 6) C_n + K Sigma_0 K^T, or where the prior's tilt is so uncertain that its linear part misleads by more than a tenth
+    the mean square error of `one_pass_error`; and whether it is that."""
+    inverse = np.linalg.inv(prior.root)
+    c0, leak = inverse @ inverse.T, problem.statistics(at)
+    linear = leak.noise + leak.leak @ c0 @ leak.leak.T
+    if np.trace(c0[3:, 3:]) < np.radians(CERTAIN_DEG) ** 2:
+        return linear, False
+    whole = one_pass_error(problem, at, prior)
+    ratio = np.trace(whole[3:, 3:]) / np.trace(linear[3:, 3:])
+    return (linear, False) if not np.isfinite(ratio) or 0.8 < ratio < 1.2 else (whole, True)
