@@ -14,7 +14,6 @@ from ..adjustment import precision
 from ..block import Block
 from ..errors import BadProject
 from ..geometry import Exterior
-from .one_pass import one_pass_covariance
 from .orthogonal import Orthogonal
 from .resection import PriorOrientation, Resection
 from .single import AMBIGUOUS, Request, discrimination, given_prior, prepare
@@ -100,7 +99,7 @@ def _predict(control: Any, at: Exterior, cp: np.ndarray, prior: PriorOrientation
         c0 = inverse @ inverse.T
         cb = np.linalg.inv(np.linalg.inv(cp) + prior.root.T @ prior.root)
         share = float(np.trace((cb @ np.linalg.inv(c0))[3:5, 3:5]) / 2)
-        out["orthogonal one pass"] = Prediction(at.angle_covariance(one_pass_covariance(orthogonal, at, prior)[0]))
+        out["orthogonal one pass"] = Prediction(at.angle_covariance(leak.noise + leak.leak @ c0 @ leak.leak.T))
         out["perspective with prior"] = Prediction(at.angle_covariance(cb), {"prior_share": share})
     return out
 

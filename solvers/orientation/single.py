@@ -16,7 +16,7 @@ from ..errors import BadProject, DegenerateGeometry
 from ..geometry import Exterior, LocalFrame, angle_derivatives
 from .control import Control, control_of, geometry_warnings, require
 from .initial import Candidate, apart, candidates
-from .one_pass import one_pass_covariance
+from .one_pass import beyond_linear
 from .oriented import to_vector
 from .orthogonal import Form, Orthogonal
 from .orthogonal_c import OrthogonalFreeC
@@ -310,11 +310,11 @@ def _orthogonal_covariance(start: Start, problem: Orthogonal, trace: Trace, loca
         said = [f"one pass: {leak.radius:.2f} of an error of the approximate orientation comes through"]
         if prior is None or prior.count < 6:
             return leak.noise, [*said, "the approximate orientation has no sigmas: its own error is not in the standard errors"]
-        covariance, bent = one_pass_covariance(problem, local, prior)
-        if bent:
-            said.append("the approximate orientation is too uncertain for linear error propagation: the standard errors are root "
-                        "mean square errors, found by passes through approximations on either side of it")
-        return covariance, said
+        if beyond_linear(problem, start.others[0].exterior if start.others else local, prior):
+            said.append("the approximate orientation is too uncertain for this pass: its errors come through in curves, the "
+                        "standard errors (linear) are not to be relied on; iterate, or re-centre and use the depth form")
+        inverse = np.linalg.inv(prior.root)
+        return leak.noise + leak.leak @ (inverse @ inverse.T) @ leak.leak.T, said
     said = []
     used = start.control.take(start.used)
     if leak.radius >= 1:
@@ -324,6 +324,20 @@ def _orthogonal_covariance(start: Start, problem: Orthogonal, trace: Trace, loca
     if start.others and trace.converged and _false(used, local, start.others[0].exterior):
         said.append(f"false fixed point: the perspective residual is {_rms(used, local):.2f} px where "
                     f"{_rms(used, start.others[0].exterior):.2f} px is possible; do not use")
+    elif start.others and trace.converged and np.diag(leak.iterated)[3:].max() > np.radians(0.1) ** 2:
+        best = start.others[0].exterior
+        rigorous = Resection(used.interior, used.points, used.pixels, used.weights(best))
+        end = solve(rigorous, rigorous.start(best), PERSPECTIVE).last
+        excess = 2 * (rigorous.cost(rigorous.start(local)) - end.cost)
+        if excess > 4:
+            said.append(f"the fixed point fits worse than the perspective solution (chi-square larger by {excess:.0f}) where the "
+                        "tilt is weak: the error region is not an ellipsoid, the standard errors are too small; prefer the "
+                        "perspective solution")
+        else:
+            try:
+                said += curved(rigorous, end.x, precision(rigorous.linear(end.x)).covariance)
+            except DegenerateGeometry:
+                said.append("the perspective solution of this control is singular: do not trust the tilt")
     return leak.iterated, said
 
 

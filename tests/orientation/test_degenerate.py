@@ -8,7 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from solvers import BadProject, Block, DegenerateGeometry, PhotogrammetryError
+from solvers.geometry import log
 from solvers.orientation import Orientation, resect, resect_orthogonal
+from solvers.orientation.oriented import to_vector
 from tests.checks import angle_between
 from tests.synthetic import SEED_EXTERIOR, block_of, cluster, scene
 
@@ -169,3 +171,25 @@ def test_near_degenerate_control_is_right_or_refused_or_doubted(seed, n, flat, n
     stated = float(np.sqrt(np.trace(got.covariance[3:, 3:])))
     doubted = any(any(d in w for d in DOUBT) for w in got.warnings)
     assert min(errors) < 8 * stated + 1e-6 or doubted, (errors, stated, got.warnings)
+
+
+def test_weak_geometry_is_never_wrong_in_silence():
+    """Few points, narrow and flat, any attitude: beyond 10 standard errors only with a word against the tilt or its errors."""
+    words = ("ambiguous", "not determined", "ellipsoid", "false fixed point", "runs away", "did not converge", "bad fit",
+             "singular")
+    rng, believed = np.random.default_rng(20), 0
+    for k in range(45):
+        n, fov, depth = int(rng.choice([3, 4, 5, 6, 8])), float(rng.choice([3.0, 8.0, 20.0])), float(rng.choice([0.0, 0.02]))
+        points, at = scene(rng, n, fov, depth=depth)
+        block = block_of(points, at, noise_px=0.5, sigma_px=0.5, sigma_m=0.0, seed=k)
+        for solve in (resect, resect_orthogonal):
+            got = solve(block, "a")
+            if any(w in said for w in words for said in got.warnings):
+                continue
+            j = to_vector(got.exterior)
+            e = np.concatenate([at.centre - got.exterior.centre, log(at.m @ got.exterior.m.T)])
+            cov = j @ got.covariance @ j.T
+            sd = np.sqrt(np.diag(cov))
+            assert (e / sd) @ np.linalg.solve(cov / np.outer(sd, sd), e / sd) < 100, (k, solve.__name__, got.warnings)
+            believed += 1
+    assert believed > 20
