@@ -1,7 +1,8 @@
 """Photo after photo onto the growing mosaic: the sequential registration, and the rough start of the simultaneous one.
 
 The reference photo lies on the mosaic plane; the photo that shares most points with what is already there comes next, is fitted
-to the points' places and places the points that only it has seen. What is placed stays: errors add up (FORMULAS section 6.4).
+to the points' places; a point lies at the mean of the photos that show it so far. What is placed stays: errors add up
+(FORMULAS section 6.4).
 """
 
 from __future__ import annotations
@@ -57,13 +58,22 @@ def grow(net: Network, reference: int, h: np.ndarray, stages: Sequence[str] = ("
     left = np.ones(len(net.names), bool)
     tried = np.zeros(len(net.names), int)
 
+    seen = np.zeros(len(xy))
+
     def place(photo: int, at: np.ndarray) -> None:
         mine = rows[photo]
-        new = mine[~np.isfinite(xy[net.point[mine], 0])]
-        p, _ = through(np.broadcast_to(np.linalg.inv(at), (len(new), 3, 3)), net.q[new])
-        xy[net.point[new]] = p
+        points = net.point[mine]
+        p, _ = through(np.broadcast_to(np.linalg.inv(at), (len(mine), 3, 3)), net.q[mine])
+        with np.errstate(invalid="ignore"):
+            back = through(np.broadcast_to(at, (len(mine), 3, 3)), xy[points])[0]
+            close = np.linalg.norm((back - net.q[mine]) * net.weight[mine], axis=1) < 20
+        new, ok = ~np.isfinite(xy[points, 0]), np.isfinite(p[:, 0])
+        xy[points[new]], seen[points[new & ok]] = p[new], 1
+        more = points[~new & close & ok]
+        xy[more] += (p[~new & close & ok] - xy[more]) / (seen[more] + 1)[:, None]
+        seen[more] += 1
         got = np.zeros(len(xy), bool)
-        got[net.point[new]] = np.isfinite(p[:, 0])
+        got[points[new]] = ok[new]
         shared[:] += np.bincount(net.image[got[net.point]], minlength=len(shared))
 
     left[reference] = False

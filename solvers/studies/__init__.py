@@ -11,6 +11,8 @@ KINDS = {
     "fov": "field of view, relief, number of points, noise and prior quality",
     "ono": "free networks of long focal length: Ono & Hattori's tables over many runs, their field geometry",
     "starts": "initial values: success and cost of every start",
+    "drift": "36-photo mosaics, one after the other or all at once: drift, control, relief, distortion",
+    "gcp": "how many ground control points a mosaic needs, and where",
 }
 
 
