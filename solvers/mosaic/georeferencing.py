@@ -92,7 +92,7 @@ def placing_of(data: Data, h: np.ndarray, found: Found | None, plane: float | st
     if len(control) >= 2:
         scale, turn, shift, off = similarity(place[control], data.xyz[control, :2], data.sigma_xyz[control, :2].mean(axis=1))
         height = float(plane) if isinstance(plane, (int, float)) else float(np.median(data.xyz[control, 2]))
-        wrong, told = _wrong_control(data, control, off, scale * pixel)
+        wrong, told = _wrong_control(data, control, _off_affinity(place[control], data.xyz[control, :2], off), scale * pixel)
         said += told
     elif len(placed) >= 2:
         scale, turn, shift, off = similarity(under[placed], data.gps[placed, :2], data.gps_sigma[placed, :2].mean(axis=1))
@@ -166,11 +166,24 @@ def _pixel(h: np.ndarray, scale: np.ndarray) -> np.ndarray:
     return out
 
 
+def _off_affinity(source: np.ndarray, target: np.ndarray, off: np.ndarray) -> np.ndarray:
+    """(k,) distances left by an affinity that most of at least six points agree with (the reference photo's own tilt is in it);
+    `off` where there are fewer."""
+    if len(source) < 6:
+        return off
+    design, weight = np.column_stack([source, np.ones(len(source))]), np.ones(len(source))
+    for _ in range(40):  # least absolute distances, by reweighting
+        fit = np.linalg.lstsq(design * weight[:, None], target * weight[:, None], rcond=None)[0]
+        off = np.linalg.norm(target - design @ fit, axis=1)
+        weight = 1 / np.sqrt(np.maximum(off, 1e-3 * max(float(off.max()), 1e-9)))
+    return off
+
+
 def _wrong_control(data: Data, control: np.ndarray, off: np.ndarray, pixel: float) -> tuple[tuple[str, ...], list[str]]:
     """Control points that stand out, far more than the others and than their own errors: their names, and a sentence."""
     if len(control) < 4:
         return (), []
-    limit = np.maximum(8 * np.median(off), 20 * pixel + 5 * data.sigma_xyz[control, :2].max(axis=1))
+    limit = np.maximum(6 * np.median(off), 20 * pixel + 5 * data.sigma_xyz[control, :2].max(axis=1))
     bad = [(data.points[c], o) for c, o, li in zip(control, off, limit, strict=True) if o > li]
     if not bad or len(control) - len(bad) < 3:
         return (), []

@@ -105,7 +105,7 @@ def fit(net: Network, rows: np.ndarray, xy: np.ndarray, stages: Sequence[str]) -
     if agree.sum() < max(LEAST["similarity"], min(len(rows), max(6, len(rows) // 5))):
         return None
     one = Network(("photo",), np.zeros(len(rows), int), np.arange(len(rows)), net.q[rows], net.weight[rows], xy,
-                  np.zeros((len(rows), 2)), np.zeros(len(rows)), np.zeros(1, bool), net.loss or "cauchy")
+                  np.zeros((len(rows), 2)), np.zeros(len(rows)), np.zeros(1, bool), net.loss)
     use, h, trace, last = agree, start, None, "similarity"
     for stage in stages:
         if use.sum() < LEAST[stage] or not _spread(net.q[rows][use], stage):

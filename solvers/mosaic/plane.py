@@ -184,7 +184,7 @@ def determined(plane: np.ndarray, image: np.ndarray, sigma: np.ndarray, names: S
     a = _equations(plane, image)
     s = np.linalg.svd(a, compute_uv=False)
     noise = float(np.sqrt(np.mean(sigma**2)))
-    if len(s) > 7 and s[7] > max(FLAT * s[0], 2 * noise):
+    if len(s) > 7 and s[7] > max(FLAT * s[0], 3 * noise * np.sqrt(len(plane))):
         return
     how = "are fewer than four in effect"
     for points, where in ((plane, "on the plane"), (image, "in the photo")):

@@ -8,8 +8,8 @@ from .data import Data
 from .georeferencing import Placing
 from .network import Network
 
-BAD_PX = 100.0
-"""Predicted error of a photo's places [px] from which a registration without control is called weak."""
+BAD = 0.01
+"""Predicted error of a photo's places, in diagonals of the photo, from which a registration is called nearly deficient."""
 
 
 def single_lines(data: Data, net: Network, tolerance_px: float = 60.0) -> list[tuple[int, int]]:
@@ -40,11 +40,12 @@ def weak_photos(data: Data, net: Network, noise: np.ndarray, place: Placing, rel
     px, pixel = noise / place.pixel, place.pixel
     worst = int(np.nanargmax(px)) if np.isfinite(px).any() else 0
     known = 3 * float(np.nanmedian(data.gps_sigma)) / pixel if place.by_gps else 0.0  # no better than the positions themselves
-    if px[worst] > max(BAD_PX, known):
+    bad = max(BAD * float(np.median([np.hypot(i.width, i.height) for i in data.interiors])), known)
+    if px[worst] > bad:
         pairs = single_lines(data, net)
         named = ", ".join(f"'{net.names[i]}' and '{net.names[j]}'" for i, j in pairs[:4]) + (" ..." if len(pairs) > 4 else "")
-        weak = int((px > BAD_PX).sum())
-        out.append(f"nearly rank deficient: the tie points leave {weak} photo(s) uncertain by more than {BAD_PX:.0f} px (worst "
+        weak = int((px > bad).sum())
+        out.append(f"nearly rank deficient: the tie points leave {weak} photo(s) uncertain by more than {bad:.0f} px (worst "
                    f"'{net.names[worst]}', {px[worst]:.0f} px)"
                    + (f"; the points shared by {named} lie on one line: add tie points beside it" if pairs else "")
                    + ("; take exterior orientations (the camera's principal distance), or give control points" if model == "plane"

@@ -99,7 +99,9 @@ class Layout:
                  control: np.ndarray | None = None) -> tuple[np.ndarray, bool]:
         """(m, 3, 3) homographies adjusted to observations q (o, 2), from the truth, and whether the engine came to rest."""
         problem = self.problem(method, gcps, q, control)
-        trace = solve(problem, problem.pack(self.photos(method), self.points), ENGINE)
+        x = problem.pack(self.photos(method), self.points)
+        trace = solve(problem, x, Options.gauss_newton(30, 1e-3))  # damping creeps where little is determined
+        trace = trace if trace.converged else solve(problem, x, ENGINE)
         return homographies(problem.model, problem.split(trace.last.x)[0]), trace.converged
 
     def drift(self, h: np.ndarray) -> np.ndarray:
@@ -155,7 +157,8 @@ def sequential(net: Layout, q: np.ndarray) -> np.ndarray:
         if k:
             at = total[:, points[old]] / count[points[old]][:, None]
             out[:, k] = _fitted((at - net.centre[k]) / C, q[:, mine[old]]) @ shift
-        p = np.einsum("rij,roj->roi", np.linalg.inv(out[:, k]), np.concatenate([q[:, mine], np.ones((runs, len(mine), 1))], axis=2))
+        rays = np.concatenate([q[:, mine], np.ones((runs, len(mine), 1))], axis=2)
+        p = np.einsum("rij,roj->roi", np.linalg.inv(out[:, k]), rays)
         total[:, points] += p[..., :2] / p[..., 2:]
         count[points] += 1
     return out
@@ -174,6 +177,7 @@ def _fitted(xy: np.ndarray, q: np.ndarray, steps: int = 6) -> np.ndarray:
         j[..., 0, 0:3] = j[..., 1, 3:6] = one / w[..., None]
         j[..., 6:] = -at[..., :, None] * xy[..., None, :] / w[..., None, None]
         n = np.einsum("rkea,rkeb->rab", j, j)
+        n[:, range(8), range(8)] *= 1 + 1e-12  # a column of points leaves a direction free: it then stays where it was
         g = np.einsum("rkea,rke->ra", j, q - at)
         h[:, :8] += np.linalg.solve(n, g[..., None])[..., 0]
     return h.reshape(-1, 3, 3)

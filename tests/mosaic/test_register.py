@@ -1,0 +1,238 @@
+"""Registration: Jacobians, truth recovered, covariance, levels, groups, wrong control, nearly deficient networks."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from solvers import Block, Exterior, Image, Interior, Observations, Points, Prior
+from solvers.adjustment import Options, solve
+from solvers.cameras import project
+from solvers.errors import BadProject, DegenerateGeometry
+from solvers.mosaic import RegistrationRequest, check_ties, register
+from solvers.mosaic.models import Coefficients, Exteriors
+from solvers.mosaic.network import Network
+from solvers.mosaic.precision import Response
+from solvers.mosaic.problem import PhotoPriors, Registering, ShapePriors
+from solvers.orientation import BundleRequest, adjust
+from tests.checks import central, chi_square_band
+
+CAMERA = Interior(35.0, 0.05, -0.03, 2e-5, pixel_mm=0.016, width=1500, height=1000)
+GSD = 300 * 0.016 / 35
+
+
+def flight(rows=3, columns=4, *, noise=0.2, tilt=2.0, relief=0.0, seed=0, gps=True, control=0, per=14, step=(70.0, 75.0),
+           hinge=False):
+    """A block of photos 300 m above a plane at z = 50 m, and its true orientations."""
+    rng = np.random.default_rng(seed)
+    poses = [Exterior.from_angles(*np.radians(rng.normal(0, tilt, 2)), np.pi * (r % 2) + rng.normal(0, 0.05),
+                                  np.array([1000 + c * step[0], 2000 + r * step[1], 350.0]) + rng.normal(0, 2, 3))
+             for r in range(rows) for c in range(columns)]
+    centre = np.array([p.centre for p in poses])
+    low, high = centre[:, :2].min(0) - 130, centre[:, :2].max(0) + 130
+    n = per * rows * columns * 2
+    xyz = np.column_stack([rng.uniform(low, high, (n, 2)), 50 + relief * rng.standard_normal(n)])
+    if hinge:  # all points that two strips see lie on one line
+        band = np.abs(xyz[:, 1] - 2000 - step[1] / 2) < 35
+        xyz[band, 1] = 2000 + step[1] / 2 + 0.2 * rng.standard_normal(band.sum())
+    corners = np.array([[0.2, 0.2], [0.8, 0.2], [0.8, 0.8], [0.2, 0.8], [0.5, 0.5], [0.5, 0.2], [0.2, 0.5], [0.8, 0.5]])[:control]
+    xyz[:control, :2] = low + corners * (high - low)
+    image, point, pixel = [], [], []
+    for k, pose in enumerate(poses):
+        p = project(CAMERA, pose, xyz)
+        ok = np.flatnonzero(CAMERA.inside(np.nan_to_num(p, nan=-9e9), -3))
+        image += [k] * len(ok)
+        point += list(ok)
+        pixel += list(p[ok])
+    known = np.full((n, 3), np.nan)
+    known[:control] = xyz[:control] + 0.02 * rng.standard_normal((control, 3))
+    images = tuple(Image(f"p{k}", "cam", None, Prior(e.centre + rng.normal(0, 1, 3), None, np.full(3, 1.0)) if gps else None)
+                   for k, e in enumerate(poses))
+    of = Observations(np.array(image), np.array(point), np.array(pixel) + noise * rng.standard_normal((len(image), 2)),
+                      np.full(len(image), max(noise, 0.05)))
+    points = Points(tuple(f"t{k}" for k in range(n)), known, np.full((n, 3), 0.02),
+                    tuple("control" if k < control else "tie" for k in range(n)))
+    return Block("site", "local", {"cam": CAMERA}, images, points, of), poses, xyz
+
+
+def bundle(block, datum):
+    return adjust(block, BundleRequest(datum=datum, start="prior", loss="cauchy"))
+
+
+def network(block, **more):
+    of = block.observations
+    return Network.of([i.name for i in block.images], [CAMERA] * len(block.images), of.image, of.point, of.pixel, of.sigma,
+                      **more).usable()
+
+
+def at_truth(block, poses, xyz, model, **more):
+    net = network(block, **more)
+    if isinstance(model, Exteriors):
+        photos = np.array([p.vector for p in poses])
+    else:
+        from solvers.mosaic.simultaneous import homographies
+
+        photos = homographies(Exteriors((50.0, 0, 0)), np.array([p.vector for p in poses])).reshape(-1, 9)
+    problem = Registering(net, model)
+    return problem, problem.pack(photos, xyz[:, :2])
+
+
+@pytest.mark.parametrize("model", [Coefficients("similarity"), Coefficients("affine"), Coefficients(),
+                                   Exteriors((50.0, 0.01, -0.02))])
+def test_gradient_and_normal_matrix_agree_with_differences(model):
+    block, poses, xyz = flight(1, 2, seed=3)
+    known = np.full((len(xyz), 2), np.nan)
+    known[:3] = xyz[:3, :2] + 0.3
+    problem, x = at_truth(block, poses, xyz, model, known=known, sigma_xy=np.full(known.shape, 0.2))
+    if isinstance(model, Exteriors):
+        info = np.broadcast_to(np.diag([1, 1, 1, 400, 400, 400.0]), (2, 6, 6))
+        problem = replace(problem, priors=PhotoPriors(np.arange(2), np.array([p.centre + 0.1 for p in poses]),
+                                                      np.array([p.m for p in poses]), info))
+    elif model.size == 8:
+        problem = replace(problem, priors=ShapePriors(np.arange(2), problem.split(x)[0].reshape(-1, 3, 3),
+                                                      np.broadcast_to(np.eye(8) * 1e4, (2, 8, 8))))
+    normal = problem.normal(x)
+    h = 1e-3 / normal.scale
+    gradient = central(lambda e: np.array(problem.cost(problem.retract(x, e))), len(h), h)
+    assert np.allclose(-gradient * h, normal.gradient * h, atol=2e-5 * np.abs(normal.gradient * h).max() + 1e-9)
+    step, _ = normal.step(1e-6)  # the reduced system solves the whole one
+    v = problem.residuals(x).ravel()
+    j = central(lambda e: problem.residuals(problem.retract(x, e)).ravel(), len(h), h)
+    n = j.T @ j
+    net = problem.network
+    k = len(net.live) * model.size
+    n[np.arange(k, len(h)), np.arange(k, len(h))] += net.weight_xy.ravel()
+    if len(problem.priors.photo):
+        for a, info in enumerate(problem.priors.information):
+            s = slice(a * model.size, (a + 1) * model.size)
+            n[s, s] += info
+    free = np.repeat(net.rays == 0, 2)
+    n[k:, k:][np.diag(free)] = 1
+    n += 1e-6 * np.diag(np.diag(n))
+    assert np.allclose(n @ step, normal.gradient, atol=1e-4 * np.abs(normal.gradient).max()) and len(v)
+
+
+def test_truth_is_recovered_by_exterior_orientations_and_scatter_is_predicted():
+    block, poses, xyz = flight(2, 3, noise=0.0)
+    values, rng = [], np.random.default_rng(5)
+    problem, x = at_truth(block, poses, xyz, Exteriors((50.0, 0, 0)), held=(0,), loss=None)
+    problem = replace(problem, network=replace(problem.network, weight=problem.network.weight / 4))  # sigma 0.2 px
+    q = problem.network.q.copy()
+    covariance = Response(problem, x, np.ones((6, 2)) * 0.3).covariance
+    for _ in range(25):
+        net = replace(problem.network, q=q + rng.standard_normal(q.shape) / problem.network.weight)
+        noisy = replace(problem, network=net)
+        trace = solve(noisy, x, Options(step_tolerance=1e-6))
+        assert trace.converged
+        for k in (1, 5):
+            e = Exterior.from_vector(noisy.split(trace.last.x)[0][k])
+            d = np.concatenate([e.centre - poses[k].centre, _vector(e.m @ poses[k].m.T)])
+            values.append(d @ np.linalg.solve(covariance[k], d))
+    chi_square_band(np.array(values)[::2], 6, 0.998)
+    chi_square_band(np.array(values)[1::2], 6, 0.998)
+
+
+def _vector(r):
+    return np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]) / 2
+
+
+def test_semicontrolled_mosaic_lies_where_the_photos_were():
+    block, poses, _ = flight()
+    r = register(block)
+    assert (r.level, r.unit, len(r.names)) == ("semicontrolled", "m", 12) and not r.unused
+    off = check_ties(r, tuple(i.name for i in block.images), block.observations)
+    assert np.nanmedian(off) < 0.3
+    seen = [r.frame.to_map(np.append(r.on_plane(k, CAMERA.pixels(np.zeros(2))), r.plane[0]))[:2] for k in range(12)]
+    truth = [project_down(p) for p in poses]
+    assert np.sqrt(((np.array(seen) - truth) ** 2).sum(1).mean()) < 2.0  # positions are good to 1 m
+
+
+def project_down(pose):
+    ray = -pose.m[2]
+    return (pose.centre + ray * (50 - pose.centre[2]) / ray[2])[:2]
+
+
+def test_controlled_mosaic_meets_the_truth_within_half_a_pixel():
+    block, _poses, xyz = flight(2, 3, control=5, relief=4.0)
+    r = register(block, bundle=bundle)
+    assert (r.level, r.kind) == ("controlled", "exterior")
+    local = r.frame.to_local(xyz)
+    of = block.observations
+    off = [r.to_pixels(r.names.index(f"p{i}"), local[p]) - project(CAMERA, _poses[i], xyz[p])
+           for i, p in zip(of.image[::7], of.point[::7], strict=True)]
+    assert np.sqrt(np.mean(np.square(off))) < 0.5
+
+
+def test_a_wrong_control_point_is_named_and_left_out():
+    block, *_ = flight(2, 3, control=8)
+    xyz = block.points.xyz.copy()
+    xyz[4, 0] += 25
+    r = register(replace(block, points=replace(block.points, xyz=xyz)), bundle=bundle)
+    assert r.rejected == ("t4",) and any("'t4'" in w for w in r.warnings)
+
+
+def test_sequential_rows_can_be_stepped_through_and_its_box_grows():
+    block, *_ = flight(gps=False)
+    r = register(block, RegistrationRequest(method="sequential"))
+    assert (r.level, r.unit, len(r.trace)) == ("uncontrolled", "px", 12)
+    box = np.array(r.trace.manifest["bounding_boxes"])
+    assert (np.diff(box[:, :2], axis=0) <= 1e-9).all() and (np.diff(box[:, 2:], axis=0) >= -1e-9).all()
+    placed = [int(np.isfinite(row.x[::9]).sum()) for row in r.trace.rows]
+    assert placed == list(range(1, 13))
+    assert any("do not measure the drift" in w for w in r.warnings)
+
+
+def test_every_stage_is_in_the_trace():
+    block, *_ = flight(gps=False)
+    r = register(block, RegistrationRequest(model="plane"))
+    assert [s["stage"] for s in r.trace.manifest["stages"]] == ["similarity", "affine", "projective"]
+    assert r.trace.last.x.shape == (12 * 9,) and r.trace.converged
+    assert r.covariance.shape == (12, 8, 8) and np.isfinite(r.corner_sigma).all()
+
+
+def test_blunders_in_the_tie_points_do_not_matter():
+    block, *_ = flight()
+    pixel = block.observations.pixel.copy()
+    rows = np.random.default_rng(1).random(len(pixel)) < 0.05
+    pixel[rows] += np.random.default_rng(2).normal(0, 60, (rows.sum(), 2))
+    r = register(replace(block, observations=replace(block.observations, pixel=pixel)))
+    off = check_ties(r, tuple(i.name for i in block.images), block.observations)
+    assert not r.unused and np.nanmedian(off) < 0.4
+
+
+def test_a_photo_of_another_flight_and_a_separate_group_are_named():
+    block, *_ = flight()
+    of = block.observations
+    n = len(block.points)
+    point = of.point.copy()
+    point[of.image == 5] = np.random.default_rng(0).permutation(n)[:int((of.image == 5).sum())]  # matches that cannot be
+    r = register(replace(block, observations=replace(of, point=point)))
+    assert set(r.unused) == {"p5"} and "points" in r.unused["p5"] and len(r.names) == 11
+    apart = np.isin(of.image, (0, 1))
+    keep = ~(apart & np.isin(of.point, of.point[~apart]))
+    parts = [a[keep] for a in (of.image, of.point, of.pixel, of.sigma)]
+    r = register(replace(block, observations=Observations(*parts)))
+    assert set(r.unused) >= {"p0", "p1"} and len(r.names) == 10
+
+
+def test_photos_that_do_not_overlap_are_refused():
+    block, *_ = flight(2, 2)
+    of = block.observations
+    with pytest.raises(DegenerateGeometry, match="overlap"):
+        register(replace(block, observations=replace(of, point=np.arange(len(of)) % len(block.points))))
+
+
+def test_levels_that_cannot_be_are_refused():
+    block, *_ = flight(gps=False)
+    with pytest.raises(BadProject, match="controlled"):
+        register(block, RegistrationRequest(level="controlled"))
+    with pytest.raises(BadProject, match="semi"):
+        register(block, RegistrationRequest(level="semicontrolled"))
+
+
+def test_a_column_of_ties_in_the_side_overlap_is_named():
+    block, *_ = flight(2, 4, gps=False, step=(60.0, 95.0), noise=0.3, tilt=0.5, hinge=True)
+    r = register(block, RegistrationRequest(model="plane"))
+    assert any("rank deficient" in w and "lie on one line" in w for w in r.warnings), r.warnings
+    fine, *_ = flight(2, 4, gps=False, step=(60.0, 70.0), noise=0.3, tilt=0.5)
+    assert not any("rank deficient" in w for w in register(fine, RegistrationRequest(model="plane")).warnings)
