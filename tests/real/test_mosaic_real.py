@@ -7,8 +7,6 @@ import pytest
 
 from solvers.cli import main
 
-pytestmark = pytest.mark.real
-
 
 def mosaic(folder, tmp_path, *options):
     code = main(["mosaic", str(folder), "-o", str(tmp_path / "m.tif"), "--json", str(tmp_path / "m.json"), "--quiet",
@@ -17,14 +15,14 @@ def mosaic(folder, tmp_path, *options):
 
 
 @pytest.mark.parametrize(("name", "count"), [("uav_brighton8", 8), ("uav_strip5", 5)])
-def test_held_out_ties_fit(real, tmp_path, name, count):
+def test_held_out_ties_fit(data, tmp_path, name, count):
     folder = tmp_path / name
     folder.mkdir()
-    for f in (real / name).iterdir():
+    for f in (data / name).iterdir():
         if f.suffix.lower() == ".jpg":
             shutil.copy(f, folder)
     if count == 8:  # a photo of another flight among them
-        shutil.copy(next((real / "uav_strip5").glob("*.JPG")), folder / "stranger.jpg")
+        shutil.copy(next((data / "uav_strip5").glob("*.JPG")), folder / "stranger.jpg")
     code, done = mosaic(folder, tmp_path)
     assert [i["name"] for i in done["images"] if not i["used"]] == (["stranger"] if count == 8 else [])
     assert code == (1 if count == 8 else 0)
