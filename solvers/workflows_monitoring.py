@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
@@ -134,3 +135,56 @@ def _point_json(d: Displacement) -> dict[str, Any]:
             **dict(zip(("sX", "sY", "sZ"), map(float, sigma), strict=True)), "covariance": d.covariance.tolist(),
             "statistic_over_critical": d.statistic, "p": d.p, "significant": d.moved, "datum": d.datum,
             "ellipsoid_95": {"axes_m": d.axes.tolist(), "directions": d.directions.tolist()}, "detectable_m": d.detectable}
+
+
+# -- a comparison again -------------------------------------------------------------------------------------------------------
+
+
+class Movements(NamedTuple):
+    """A later epoch against the first, as a run holds it: names; d (n, 3) m; axes (n, 3) m and directions (n, 3, 3) (rows) of
+    the 95 % ellipsoids; moved, datum (n,)."""
+
+    epoch: str
+    names: tuple[str, ...]
+    d: np.ndarray
+    axes: np.ndarray
+    directions: np.ndarray
+    moved: np.ndarray
+    datum: np.ndarray
+
+
+class Monitored(NamedTuple):
+    """A comparison as a run holds it: its run, the first epoch's name and points xyz (n, 3) m in the map's coordinates, the later
+    epochs, the level of the whole."""
+
+    run: Path
+    first: str
+    places: dict[str, np.ndarray]
+    later: tuple[Movements, ...]
+    level: float
+
+
+def read_comparison(folder: Path | str) -> Monitored | None:
+    """The latest comparison that a project holds, None where there is none. Raises BadProject where it is damaged."""
+    run = latest_run(folder, "result.json", "compare")
+    if run is None:
+        return None
+    try:
+        said = json.loads((run / "result.json").read_text(encoding="utf-8"))
+        first = said["epochs"][0]["name"]
+        places = {str(n): np.array(x, float).reshape(3) for n, x in said["coordinates"][first].items()}
+        later = tuple(_movements(pair, places) for pair in said["pairs"])
+        return Monitored(run, str(first), places, later, float(said["level"]))
+    except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
+        raise BadProject(f"{run / 'result.json'}: it is damaged ({type(error).__name__}: {error}); delete this run and compare "
+                         "again") from None
+
+
+def _movements(pair: dict[str, Any], places: dict[str, np.ndarray]) -> Movements:
+    points = [p for p in pair["points"] if p["name"] in places]
+    return Movements(
+        str(pair["second"]), tuple(str(p["name"]) for p in points),
+        np.array([[p["dX"], p["dY"], p["dZ"]] for p in points], float).reshape(-1, 3),
+        np.array([p["ellipsoid_95"]["axes_m"] for p in points], float).reshape(-1, 3),
+        np.array([p["ellipsoid_95"]["directions"] for p in points], float).reshape(-1, 3, 3),
+        np.array([p["significant"] for p in points], bool), np.array([p["datum"] for p in points], bool))

@@ -60,6 +60,8 @@ def snooping(w: np.ndarray, names: tuple[str, ...]) -> list[str]:
     """Baarda's data snooping: the largest standardized residual, tested at 1 % over all observations together."""
     from scipy.special import ndtri
 
+    if not len(w):
+        return []
     size = np.abs(np.where(np.isfinite(w), w, 0.0))
     i, axis = np.unravel_index(int(size.argmax()), size.shape)
     limit = float(-ndtri(0.005 / max(int(np.isfinite(w).sum()), 1)))

@@ -23,3 +23,7 @@ def test_false_alarms_come_at_the_stated_level() -> None:
     rng = np.random.default_rng(3)
     alarms = sum(bool(snooping(rng.normal(0, 1, (20, 2)), NAMES)) for _ in range(3000))
     assert 10 <= alarms <= 55  # 1 % of 3000, three standard deviations and a little
+
+
+def test_without_observations_there_is_nothing_to_snoop():
+    assert snooping(np.empty((0, 2)), ()) == []
