@@ -69,7 +69,9 @@ def _calibration(write: Callable[[Any], tuple[str, tuple[str, ...]]]) -> Write:
         from ..files import write_text
 
         if len(scene.cameras) != 1:
-            raise BadTable(f"{path}: this format holds one camera and there are {len(scene.cameras)}; name it with --camera-name")
+            raise BadTable(f"{path}: this format holds one camera and there are {len(scene.cameras)}; take a format that holds "
+                           f"several, "
+                           "such as blocks")
         text, notes = write(next(iter(scene.cameras.values())))
         write_text(path, text)
         return notes

@@ -87,14 +87,13 @@ def _said(origin: np.ndarray) -> str:
 def write_glb(scene: Exchange, path: Path) -> tuple[str, ...]:
     """One node a camera (lines of its frustum) and one a role of points, in glTF 2.0 binary."""
     origin, shapes = origin_of(scene), frustums(scene)
-    parts: list[tuple[str, np.ndarray, np.ndarray | None, int, str]] = []
-    edges = np.array([0, 1, 0, 2, 0, 3, 0, 4, 1, 2, 2, 3, 3, 4, 4, 1], np.uint32)
-    parts += [(name, shape, edges, 1, "camera") for name, shape in shapes]
+    edges = np.array([0, 1, 0, 2, 0, 3, 0, 4, 1, 2, 2, 3, 3, 4, 4, 1])  # pairs; no index, which some readers of lines overlook
+    parts: list[tuple[str, np.ndarray, int, str]] = [(name, shape[edges], 1, "camera") for name, shape in shapes]
     for role in ("control", "check", "tie"):
         at = scene.points.xyz[[r == role for r in scene.points.role]]
         at = at[np.isfinite(at).all(axis=1)]
         if len(at):
-            parts.append((role, at, None, 0, role))
+            parts.append((role, at, 0, role))
     kinds = list(COLOURS)
     document = {"asset": {"version": "2.0", "generator": "collinea",
                           "extras": {"origin": origin.tolist(), "crs": scene.crs, "axes": "x east, y up, z south"}},
@@ -106,13 +105,10 @@ def write_glb(scene: Exchange, path: Path) -> tuple[str, ...]:
                                                         "metallicFactor": 0.0}} for k in kinds],
                 "extensionsUsed": ["KHR_materials_unlit"], "buffers": []}
     data = b""
-    for n, (name, xyz, index, mode, kind) in enumerate(parts):
+    for n, (name, xyz, mode, kind) in enumerate(parts):
         local = (xyz - origin) @ np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # (x, y, z) -> (x, z, -y)
         data = _accessor(document, data, local.astype("<f4"))
         primitive = {"attributes": {"POSITION": len(document["accessors"]) - 1}, "mode": mode, "material": kinds.index(kind)}
-        if index is not None:
-            data = _accessor(document, data, index)
-            primitive["indices"] = len(document["accessors"]) - 1
         document["meshes"].append({"name": name, "primitives": [primitive]})
         document["nodes"].append({"name": name, "mesh": n})
     document["buffers"].append({"byteLength": len(data)})
@@ -124,13 +120,9 @@ def write_glb(scene: Exchange, path: Path) -> tuple[str, ...]:
     return (_said(origin),)
 
 
-def _accessor(document: dict, data: bytes, values: np.ndarray) -> bytes:
-    points = values.ndim == 2
-    document["bufferViews"].append({"buffer": 0, "byteOffset": len(data), "byteLength": values.nbytes, "target": 34962 if points
-                                    else 34963})
-    entry = {"bufferView": len(document["bufferViews"]) - 1, "componentType": 5126 if points else 5125, "count": len(values),
-             "type": "VEC3" if points else "SCALAR"}
-    if points:
-        entry |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
-    document["accessors"].append(entry)
-    return data + values.tobytes()
+def _accessor(document: dict, data: bytes, points: np.ndarray) -> bytes:
+    """The bytes with points (n, 3) of single precision appended, and their entry in the document."""
+    document["bufferViews"].append({"buffer": 0, "byteOffset": len(data), "byteLength": points.nbytes, "target": 34962})
+    document["accessors"].append({"bufferView": len(document["bufferViews"]) - 1, "componentType": 5126, "count": len(points),
+                                  "type": "VEC3", "min": points.min(axis=0).tolist(), "max": points.max(axis=0).tolist()})
+    return data + points.tobytes()
