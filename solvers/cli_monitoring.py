@@ -20,6 +20,7 @@ def add(commands: Any) -> None:
                          help="each epoch as its latest adjust run did (auto, where it is newer than the project), or anew")
     compare.add_argument("--model", choices=("perspective", "orthogonal"), help="projection, where no run says otherwise")
     compare.add_argument("--free", type=names, metavar="c,xp,..", help="interior parameters to adjust in every epoch")
+    compare.add_argument("--robust", action="store_true", help="down-weight blunders in every epoch")
     compare.add_argument("--start", choices=("auto", "resection", "dlt", "affine", "relative", "prior"),
                          help="where the start values come from")
 
@@ -29,5 +30,6 @@ def _compare(args: argparse.Namespace) -> int:
     from .workflows_monitoring import compare_projects
 
     options = {k: v for k in ("model", "free", "start") if (v := getattr(args, k)) is not None}
+    options |= {"loss": "danish"} if args.robust else {}
     done = compare_projects(args.epochs, args.stable, args.level, args.adjust, **options)
     return emit(args, done.to_json(), compared_text(done))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -52,12 +53,14 @@ def compare_projects(folders: Sequence[Path | str], stable: Sequence[str] | None
     project's files; "now" adjusts all anew. options: of `BundleRequest`, where no run says otherwise. The adjustment is that of a
     free network in any case. Raises PhotogrammetryError; then no run is left.
     """
-    epochs, notes, frame = [], [], None
+    epochs, notes, warnings, frame = [], [], [], None
     for folder, name in zip(map(Path, folders), _names(folders), strict=True):
-        epoch, frame, said = _epoch(folder, name, frame, source, options)
+        epoch, frame, said, warned = _epoch(folder, name, frame, source, options)
         epochs.append(epoch)
-        notes += said
+        notes += [f"{name}: {w}" for w in said]
+        warnings += [f"{name}: {w}" for w in warned]
     comparison = compare_epochs(epochs, stable, level)
+    comparison = replace(comparison, warnings=(*warnings, *comparison.warnings))
     assert frame is not None
     run = new_run(folders[-1], "compare")
     try:
@@ -82,7 +85,7 @@ def _names(folders: Sequence[Path | str]) -> list[str]:
 
 
 def _epoch(folder: Path, name: str, frame: LocalFrame | None, source: str,
-           options: dict[str, Any]) -> tuple[Epoch, LocalFrame, list[str]]:
+           options: dict[str, Any]) -> tuple[Epoch, LocalFrame, list[str], tuple[str, ...]]:
     block = read_project(folder)
     if frame is not None and block.crs != frame.crs and not (frame.cartesian and block.frame == "grid"):
         raise BadProject(f"{folder}: its crs is '{block.crs}', that of the first epoch '{frame.crs}'; epochs need one crs")
@@ -93,7 +96,7 @@ def _epoch(folder: Path, name: str, frame: LocalFrame | None, source: str,
     except np.linalg.LinAlgError as error:
         raise DegenerateGeometry(f"{folder}: the numbers do not fit together ({error}); look at it with collinea adjust "
                                  "first") from None
-    return epoch, frame, [f"{name}: {w}" for w in (*said, *warned)]
+    return epoch, frame, said, warned
 
 
 def _run_of(folder: Path) -> tuple[Trace | None, list[str]]:

@@ -68,6 +68,22 @@ def test_an_adjust_run_is_taken_over_while_it_is_newer(cliff: list[Path], capsys
     assert any("older than the project's files" in n for n in third["notes"])
 
 
+def test_a_blunder_is_warned_of_and_does_not_harm_a_robust_comparison(cliff: list[Path], tmp_path: Path,
+                                                                      capsys: pytest.CaptureFixture[str]) -> None:
+    spoilt = tmp_path / "spoilt"
+    spoilt.mkdir()
+    for name in ("project.toml", "points.csv"):
+        (spoilt / name).write_text((cliff[1] / name).read_text())
+    lines = (cliff[1] / "observations.csv").read_text().splitlines()
+    cells = lines[4].split(",")
+    cells[2] = str(float(cells[2]) + 30)
+    (spoilt / "observations.csv").write_text("\n".join([*lines[:4], ",".join(cells), *lines[5:]]) + "\n")
+    done = run(capsys, "compare", cliff[0], spoilt)
+    assert any("bad fit" in w and "spoilt" in w for w in done["warnings"])
+    done = run(capsys, "compare", cliff[0], spoilt, "--robust")
+    assert set(done["moved"]) == set(MOVED)
+
+
 def test_what_cannot_be_compared_is_one_sentence(cliff: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "two epochs" in refused(capsys, "compare", cliff[0])
     assert "given twice" in refused(capsys, "compare", cliff[0], cliff[0])

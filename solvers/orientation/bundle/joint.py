@@ -11,6 +11,7 @@ from ...block import Block
 from ...errors import DegenerateGeometry
 from ...geometry import LocalFrame
 from ..deformation import Epoch
+from ..words import bad_fit
 from .adjust import prepare_bundle
 from .given import BundleRequest
 from .orthogonal import OrthogonalBundle
@@ -65,7 +66,7 @@ def free_epoch(block: Block, request: BundleRequest, name: str, begin: Trace | N
     frame = frame or start.data.frame
     sigma0 = float(np.sqrt(2 * trace.last.cost / problem.dof)) if problem.dof > 0 else float("nan")
     epoch = Epoch(name, net.points, frame.to_local(xyz), joint_covariance(problem, x), sigma0, problem.dof)
-    return epoch, frame, start.warnings
+    return epoch, frame, (*start.warnings, *bad_fit(trace.last.cost, problem.dof))
 
 
 __all__ = ["free_epoch", "joint_covariance"]
