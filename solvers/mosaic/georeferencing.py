@@ -97,7 +97,7 @@ def placing_of(data: Data, h: np.ndarray, found: Found | None, plane: float | st
     elif len(placed) >= 2:
         scale, turn, shift, off = similarity(under[placed], data.gps[placed, :2], data.gps_sigma[placed, :2].mean(axis=1))
         height = float(plane) if isinstance(plane, (int, float)) else float(np.median(data.gps[placed, 2] - scale * tall[placed]))
-        limit = 4 * float(np.median(data.gps_sigma[placed, :2]))
+        limit = 10 * float(np.median(data.gps_sigma[placed, :2]))  # the reference photo's own tilt is still in it
         far = [f"'{data.names[p]}' ({o:.0f} m)" for p, o in zip(placed, off, strict=True) if o > limit]
         if far:
             said.append(f"the onboard position of {len(far)} photo(s) disagrees with the photos' content: {', '.join(far[:5])}")

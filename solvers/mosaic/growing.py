@@ -95,7 +95,8 @@ def grow(net: Network, reference: int, h: np.ndarray, stages: Sequence[str] = ("
         yield fitted._replace(photo=photo)
     for photo in np.flatnonzero(left):
         n = int(shared[photo])
-        yield Lost(int(photo), f"its {n} points do not agree with the rest of the mosaic" if n >= LEAST["similarity"] else
+        yield Lost(int(photo), f"its {n} points do not agree with the rest of the mosaic: it shows another scene or stage, or is "
+                   "tilted so much that its horizon is near" if n >= LEAST["similarity"] else
                    f"it shares {n or 'no'} point{'s' * (n != 1)} with the rest of the mosaic")
 
 

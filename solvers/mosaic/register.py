@@ -280,6 +280,11 @@ def _concluded(data: Data, request: RegistrationRequest, model: str, found: Foun
             said.append(f"the tie points fit to {factor * data.sigma_px:.2f} px where {data.sigma_px:.2f} px were expected: "
                         "relief off the plane or distortion left in the photos; covariances are scaled by it")
         rms = float(np.sqrt(np.mean((_pixels_off(data, h) ** 2)[_central(data, h)])))
+    above = [f"'{n}'" for n, g, c in zip(data.names, h, data.corners, strict=True)
+             if np.isnan(through(np.linalg.inv(np.broadcast_to(g, (4, 3, 3))), c)[0]).any()]
+    if above:
+        said.append(f"huge tilt: the horizon of the mosaic plane lies inside photo(s) {', '.join(above[:6])}; only their ground "
+                    "well below it can be used")
     if found.rows[-1][1].stop not in ("step", "gradient", "cost"):
         said.insert(0, f"the registration did not come to rest in {len(found.rows)} rows (stopped by "
                        f"'{found.rows[-1][1].stop}')")

@@ -175,6 +175,9 @@ def _page(rows: list[dict[str, Any]], harm: list[dict[str, Any]], runs: int) -> 
     def last(spec: tuple[Any, ...], method: str, control: str = "free", what: str = "predicted") -> float:
         return float(_curve(rows, spec, method, control, what)[-1])
 
+    def worst(spec: tuple[Any, ...], method: str, control: str) -> float:
+        return float(_curve(rows, spec, method, control, "predicted").max())
+
     strip, block = ("strip", 0.6, 0.3, 600.0), ("block", 0.8, 0.6, 600.0)
     seam = next(r["seam_px"] for r in rows if (r["kind"], r["forward"], r["side"], r["grid_px"]) == strip)
     header = ["network", "sequential", "8 coefficients", "+ 4 GCPs", "+ 12 GCPs", "exterior", "+ 4 GCPs", "+ 12 GCPs"]
@@ -215,9 +218,9 @@ sequential, {number(last(strip, 'coefficients'))} px simultaneous): a strip has 
 - Seams do not measure drift. The tie points of the sequential strip agree within {number(seam, 2)} px while its end is off by
 hundreds. A mosaic without visible seams can be wrong everywhere.
 
-- Four GCPs at the corners bring the strip's last photo to {number(last(strip, 'exterior', 'gcp4'), 2)} px with exterior
-orientations ({number(last(strip, 'coefficients', 'gcp4'), 2)} px with coefficients), twelve around the border to
-{number(last(strip, 'exterior', 'gcp12'), 2)} px ({number(last(strip, 'coefficients', 'gcp12'), 2)} px).
+- Four GCPs at the corners hold every photo of the strip within {number(worst(strip, 'exterior', 'gcp4'), 2)} px with exterior
+orientations (the worst in the middle; {number(worst(strip, 'coefficients', 'gcp4'), 2)} px with coefficients), twelve around the
+border within {number(worst(strip, 'exterior', 'gcp12'), 2)} px ({number(worst(strip, 'coefficients', 'gcp12'), 2)} px).
 
 ## Relief and distortion
 

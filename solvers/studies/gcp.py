@@ -150,9 +150,9 @@ Rms of the check points [px].
 
 ## What to take from it
 
-- Where matters more than how many. In the block with exterior orientations four GCPs along the edge leave
-{px('block', 'exterior', 'edge', 4)} px, four in the centre {px('block', 'exterior', 'centre', 4)} px, and twenty in the centre
-still {px('block', 'exterior', 'centre', 20)} px: control in the middle lets the borders swing.
+- Where matters as much as how many. In the block with exterior orientations four GCPs along the edge leave
+{px('block', 'exterior', 'edge', 4)} px, four in the centre {px('block', 'exterior', 'centre', 4)} px; twenty leave
+{px('block', 'exterior', 'edge', 20)} and {px('block', 'exterior', 'centre', 20)} px. Control in the middle lets borders swing.
 
 - In a strip control must reach both ends: four at the edge leave {px('strip', 'exterior', 'edge', 4)} px, twenty in the centre
 {px('strip', 'exterior', 'centre', 20)} px.
