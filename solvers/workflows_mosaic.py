@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -71,11 +72,12 @@ class Registered(NamedTuple):
 
 
 class Mosaicked(NamedTuple):
-    """A mosaic on disk: its registration and what composing said."""
+    """A mosaic on disk: its registration, what composing said, the run of a project, seconds until it was registered."""
 
     registered: Registered
     composed: dict[str, Any]
     run: Path | None
+    seconds: float
 
     @property
     def complete(self) -> bool:
@@ -110,15 +112,16 @@ def registered_json(done: Registered) -> dict[str, Any]:
 def mosaic_of(source: Path | str, out: Path | str, request: MosaicRequest | None = None,
               report: Callable[[Progress], object] | None = None) -> Mosaicked:
     """Register the photos of a project or folder and compose them into one raster. Raises PhotogrammetryError."""
-    request = request or MosaicRequest()
+    request, start = request or MosaicRequest(), time.perf_counter()
     done = registered(Path(source), request, report)
+    seconds = time.perf_counter() - start
     onto = replace(request.compose, crs=done.site.block.crs)
     composed = compose_photos(done.registration, done.site.photos, Path(out), onto, report)
     run = None
     if (Path(source) / "project.toml").is_file():
         run = new_run(Path(source), "mosaic")
         save_trace(done.registration.trace, run, "trace-registration")
-    made = Mosaicked(done, composed, run)
+    made = Mosaicked(done, composed, run, seconds)
     if run is not None:
         write_json(run / "result.json", made.to_json())
     return made

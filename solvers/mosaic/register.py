@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ..adjustment import Iteration, Trace
-from ..block import Block, Image, Prior
+from ..block import Block, Image, Observations, Prior
 from ..cameras import Interior
 from ..errors import BadProject, DegenerateGeometry
 from ..geometry import Exterior, angle_derivatives
@@ -234,7 +234,10 @@ def _bundled(data: Data, place: Placing, found: Found, request: RegistrationRequ
         images.append(Image(image.name, image.camera, image.file, Prior(
             frame.to_map(e.centre) if not onboard else was.centre, e.angles,  # type: ignore[union-attr]
             was.sigma_m if onboard else None, None)))  # type: ignore[union-attr]
-    adjusted = bundle(replace(data.block, images=tuple(images)), place.datum)
+    of = data.block.observations
+    rows = np.array([i.name in by for i in data.block.images], bool)[of.image]
+    seen = Observations(of.image[rows], of.point[rows], of.pixel[rows], of.sigma[rows])
+    adjusted = bundle(replace(data.block, images=tuple(images), observations=seen), place.datum)
     local = {o.image: o.local for o in adjusted.orientations}
     missing = [n for n in data.names if n not in local]
     if missing:

@@ -215,6 +215,15 @@ def test_a_photo_of_another_flight_and_a_separate_group_are_named():
     assert set(r.unused) >= {"p0", "p1"} and len(r.names) == 10
 
 
+def test_a_controlled_mosaic_goes_on_without_a_photo_that_does_not_belong():
+    block, *_ = flight(2, 3, control=5)
+    of = block.observations
+    point = of.point.copy()
+    point[of.image == 2] = np.random.default_rng(0).permutation(len(block.points))[:int((of.image == 2).sum())]
+    r = register(replace(block, observations=replace(of, point=point)), bundle=bundle)
+    assert set(r.unused) == {"p2"} and r.level == "controlled" and len(r.exteriors) == 5
+
+
 def test_photos_that_do_not_overlap_are_refused():
     block, *_ = flight(2, 2)
     of = block.observations
