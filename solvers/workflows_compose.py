@@ -35,20 +35,33 @@ from .io import (
     write_cog,
     write_world_file,
 )
-from .mosaic import ComposeOptions, Composition, Job, MosaicPlane, Placed, Registration, coarse, composition, half, render
+from .mosaic import (
+    ComposeOptions,
+    Composition,
+    Job,
+    MosaicPlane,
+    Placed,
+    Registration,
+    SeamCheck,
+    check_seams,
+    coarse,
+    composition,
+    half,
+    render,
+)
 from .mosaic.surface import Ground
 
 PICTURES = (".png", ".jpg", ".jpeg")
 RASTERS = (".tif", ".tiff")
-PER_TILE = 0.12
-"""GB that a tile in work takes, and"""
-AT_LEAST = 0.25
-"""GB that the programme takes without any."""
+PER_TILE, PER_BANDED = 0.08, 0.2
+"""GB that a tile in work takes, blended at once or in bands, ..."""
+AT_LEAST, ROOM = 0.235, 0.66
+"""... GB that the programme takes without any, and GB to stay within unless told otherwise."""
 
 
 @dataclass(frozen=True)
 class ComposeRequest:
-    """How a mosaic is composed. surface: "plane" or a DEM's file; gsd [m], None: of the photos; memory [GB], None: as needed;
+    """How a mosaic is composed. surface: "plane" or a DEM's file; gsd [m], None: of the photos; memory [GB] to stay within;
     crs: of the map, None: the registration's (a block in frame "grid" is local, its map is not)."""
 
     surface: str = "plane"
@@ -82,11 +95,13 @@ def compose_photos(registration: Registration, photos: Mapping[str, Path], out: 
     planned = time.perf_counter()
     notes = _tiles(made, folder, store, request, report)
     tiled = time.perf_counter()
+    seams = check_seams(made, store.window) if len(placed) > 1 else SeamCheck(None, None, 0)
     _finish(made, folder, request, registration.unit, _crs(registration, request))
     _beside(made, out, _crs(registration, request))
     folder.remove()
     seconds = {"plan": planned - start, "tiles": tiled - planned, "write": time.perf_counter() - tiled}
-    return {**_said(made, registration), "crs": _crs(registration, request), **notes, "seconds": seconds,
+    return {**_said(made, registration), "crs": _crs(registration, request), **notes, "seam_rms": seams.rms,
+            "seams": seams._asdict(), "seconds": seconds,
             "peak_memory_mb": peak_memory_mb()}
 
 
@@ -196,9 +211,8 @@ def _plan(registration: Registration, placed: list[Placed], files: Mapping[str, 
 def _tiles(made: Composition, folder: TileFolder, store: PhotoStore, request: ComposeRequest,
            report: Callable[[Progress], object] | None) -> dict[str, Any]:
     """All tiles that are not there yet."""
-    workers = request.workers
-    if request.memory is not None and request.scheduler is None:
-        workers = int(np.clip((request.memory - AT_LEAST) // PER_TILE, 1, workers))
+    tile = PER_BANDED if request.blend == "multiband" else PER_TILE
+    workers = int(np.clip(((request.memory or ROOM) - AT_LEAST) // tile, 1, max(request.workers, 1)))
     finished = frozenset[int]()
     order: list[int] = []
     try:

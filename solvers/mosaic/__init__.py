@@ -8,8 +8,10 @@ from .placed import Placed
 from .plane import PlaneFit, Rectification, coefficients_of, orientation_of, plane_coefficients, rectification
 from .register import RegistrationRequest, register
 from .registration import Registration
+from .seamcheck import SeamCheck, check_seams
 from .surface import Ground, MosaicPlane, fit_plane
 
-__all__ = ["ComposeOptions", "Composition", "Ground", "Job", "MosaicPlane", "Placed", "PlaneFit", "Rectification", "Registration",
-           "RegistrationRequest", "check_ties", "coarse", "coefficients_of", "compose", "composition", "fit_plane", "half",
-           "orientation_of", "orthorectify", "plane_coefficients", "rectification", "register", "render"]
+__all__ = ["ComposeOptions", "Composition", "Ground", "Job", "MosaicPlane", "Placed", "PlaneFit", "Rectification",
+           "Registration", "RegistrationRequest", "SeamCheck", "check_seams", "check_ties", "coarse", "coefficients_of",
+           "compose", "composition", "fit_plane", "half", "orientation_of", "orthorectify", "plane_coefficients",
+           "rectification", "register", "render"]

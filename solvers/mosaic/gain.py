@@ -1,13 +1,14 @@
 """Exposure and vignetting of all photos, solved jointly from what overlapping photos show of the same places.
 
 ln(grey of photo a) - ln(grey of photo b) = e_a + v(r_a) - e_b - v(r_b): e an exposure per photo, v one polynomial in r^2, r^4,
-r^6 for each camera. Linear least squares with weights after Huber; the exposures add up to nothing. Reference: Goldman 2010,
+r^6 for each camera. Linear least squares with weights after Huber; the exposures add up to nothing but for
+a common shift that keeps the lights from being clipped. Reference: Goldman 2010,
 "Vignette and exposure calibration and compensation".
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from .tones import Tone, radial
 
 MOST = 400
 """Places compared for each pair of photos."""
-_DARK, _LIGHT = 12.0, 243.0
+_DARK, _LIGHT, _FULL = 12.0, 243.0, 245.0
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,18 @@ def solve_tones(survey: Survey, count: int, cameras: tuple[int, ...]) -> Tones:
     touched = np.bincount(np.concatenate([rows.first, rows.second]), minlength=count) > 0
     tones = tuple(Tone(float(x[k]) if touched[k] else 0.0, _three(x[count + 3 * of[k]:]))
                   for k in range(count))
-    return Tones(tones, before, after, m)
+    return Tones(_unclipped(survey, tones), before, after, m)
+
+
+def _unclipped(survey: Survey, tones: tuple[Tone, ...]) -> tuple[Tone, ...]:
+    """All tones shifted alike, so that photos made brighter do not lose their lights: the overlaps tell nothing of the level."""
+    over = []
+    for k in survey.looks:
+        factor = tones[k.number].factor(k.photo, *np.moveaxis(k.pixels(), -1, 0))
+        light = k.colours.max(-1)
+        over.append((np.log(np.maximum(light * factor, 1.0) / np.maximum(light, _FULL)))[k.seen][::7])
+    shift = max(float(np.percentile(np.concatenate(over), 99)), 0.0)
+    return tuple(replace(t, exposure=t.exposure + shift) for t in tones)
 
 
 def _three(x: np.ndarray) -> tuple[float, float, float]:

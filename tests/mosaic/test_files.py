@@ -89,6 +89,7 @@ def test_crs_world_file_and_outlines(files, tmp_path):
         assert {a["properties"]["image"] for a in areas} == {"p0", "p1", "p2"}
         lon, lat = np.array(areas[0]["geometry"]["coordinates"][0]).T
         assert np.allclose(lon, 9.0, atol=0.01) and np.allclose(lat, 46.95, atol=0.05)
+    assert said["seams"]["places"] > 3 and said["seam_rms"] < 0.15
     assert said["gain"]["rms_after"] <= said["gain"]["rms_before"]
 
 
