@@ -88,7 +88,9 @@ class Mosaicked(NamedTuple):
     def to_json(self) -> dict[str, Any]:
         """The JSON of the command mosaic."""
         said = registered_json(self.registered)
-        return {**self.composed, **said, "notes": [*said["notes"], *self.composed["notes"]],
+        seam = {"seam_rms": said["check_ties"]["rms_px"] if said["check_ties"] else None}
+        return {**seam, **self.composed, **said, "notes": [*said["notes"], *self.composed["notes"]],
+                "seconds": {"register": self.seconds, **self.composed["seconds"]},
                 "run": None if self.run is None else str(self.run)}
 
 
