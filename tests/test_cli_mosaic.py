@@ -43,7 +43,8 @@ def test_what_cannot_be_is_said_in_one_sentence(demo, tmp_path, capsys):
     shutil.copy(next((demo / "images").iterdir()), tmp_path / "one")
     for words, said in ((("mosaic", tmp_path / "one"), "two and more"),
                         (("mosaic", tmp_path / "none"), "no such"),
-                        (("mosaic", demo, "--crs", "EPSG:32632"), "own crs"), (("rectify", demo, "--image", "X"), "no image 'X'")):
+                        (("mosaic", demo, "--crs", "EPSG:32632"), "own crs"),
+                        (("rectify", demo, "--image", "X"), "no image 'X'")):
         assert run(*words, "-o", tmp_path / "x.tif") == 1
         error = capsys.readouterr().err
         assert said in error and len(error.strip().splitlines()) == 1
