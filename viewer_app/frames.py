@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import pickle
 import struct
+from collections.abc import Callable
 from typing import Any, BinaryIO
 
 from solvers import Block
@@ -12,6 +13,28 @@ from solvers import Block
 KEPT = 6
 """Blocks that both ends remember."""
 _LENGTH = struct.Struct("<Q")
+
+
+class _Pickler(pickle.Pickler):
+    """Asks a function which values go as a number (a subclass: Python 3.13 forbids to set the method of an instance)."""
+
+    def __init__(self, out: BinaryIO, number: Callable[[Any], Any]) -> None:
+        super().__init__(out, protocol=pickle.HIGHEST_PROTOCOL)
+        self._number = number
+
+    def persistent_id(self, obj: Any) -> Any:
+        return self._number(obj)
+
+
+class _Unpickler(pickle.Unpickler):
+    """Asks a function for the values that came as a number."""
+
+    def __init__(self, data: BinaryIO, value: Callable[[Any], Any]) -> None:
+        super().__init__(data)
+        self._value = value
+
+    def persistent_load(self, pid: Any) -> Any:
+        return self._value(pid)
 
 
 class Sender:
@@ -25,9 +48,7 @@ class Sender:
     def send(self, value: Any) -> None:
         """Raises OSError where nobody listens any more, and what pickle raises for values that cannot travel."""
         out = io.BytesIO()
-        pickler = pickle.Pickler(out, protocol=pickle.HIGHEST_PROTOCOL)
-        pickler.persistent_id = self._number  # type: ignore[method-assign]
-        pickler.dump(value)
+        _Pickler(out, self._number).dump(value)
         data = out.getbuffer()
         self._stream.write(_LENGTH.pack(len(data)))
         self._stream.write(data)
@@ -56,9 +77,7 @@ class Receiver:
 
     def receive(self) -> Any:
         """The next value. Raises EOFError at the end of the stream."""
-        unpickler = pickle.Unpickler(io.BytesIO(self._read(_LENGTH.unpack(self._read(_LENGTH.size))[0])))
-        unpickler.persistent_load = self._block  # type: ignore[method-assign]
-        return unpickler.load()
+        return _Unpickler(io.BytesIO(self._read(_LENGTH.unpack(self._read(_LENGTH.size))[0])), self._block).load()
 
     def _read(self, size: int) -> bytes:
         data = self._stream.read(size)
