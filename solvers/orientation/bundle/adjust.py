@@ -32,6 +32,8 @@ ROBUST = replace(BUNDLE, max_iterations=200, step_tolerance=1e-4, cost_tolerance
 
 FIXED_POINT = Options.gauss_newton(max_iterations=150, step_tolerance=1e-7)
 AIMED = Options.gauss_newton(max_iterations=30, step_tolerance=1e-7)
+FITS = 1.3
+"""sigma0 below which a fixed point is not suspected to be a false one."""
 LARGEST = 10 * DENSE
 """Elements of a design matrix beyond which the orthogonal model, which keeps it whole, refuses."""
 
@@ -108,29 +110,37 @@ def _orthogonal(perspective: Bundle, x0: np.ndarray, data: Given, said: tuple[st
         return BundleStart(problem, x0, ROBUST if request.loss else BUNDLE, manifest, data, tuple(warnings))
     options = FIXED_POINT if request.loss is None else replace(FIXED_POINT, step_tolerance=1e-4)
     last = solve(problem, x0, options).last
-    if last.stop != "step":
-        better = solve(perspective, x0, BUNDLE).last.x
-        for other, how in ((problem, options), (replace(problem, aimed=True), AIMED)):
-            if solve(other, better, how).last.stop == "step":
-                aimed = " and every step was aimed at the fixed point" if other is not problem else ""
-                warnings.append("repeating the transformation does not settle from these start values "
-                                f"({last.stop}): it was begun at the perspective solution{aimed}")
-                return BundleStart(other, better, how, manifest, data, tuple(warnings))
-        warnings.append(f"repeating the transformation leads nowhere here ({last.stop}): the orthogonal model is for narrow "
-                        "fields of view and objects with relief; take --model perspective")
+    if last.stop == "step" and (problem.extra or not _far_off(last.cost, problem, perspective, last.x)):
+        return BundleStart(problem, x0, options, manifest, data, tuple(warnings))
+    why = "does not settle" if last.stop != "step" else "settles at a false fixed point"
+    better = solve(perspective, x0, BUNDLE).last.x
+    for other, how in ((problem, options), (replace(problem, aimed=True), AIMED)):
+        end = solve(other, better, how).last
+        if end.stop == "step" and not _far_off(end.cost, problem, perspective, end.x):
+            aimed = " and every step was aimed at the fixed point" if other is not problem else ""
+            warnings.append(f"repeating the transformation {why} from these start values: it was begun at the perspective "
+                            f"solution{aimed}")
+            return BundleStart(other, better, how, manifest, data, tuple(warnings))
+    warnings.append(f"repeating the transformation {why}: the orthogonal model is for narrow fields of view and objects with "
+                    "relief; take --model perspective")
     return BundleStart(problem, x0, options, manifest, data, tuple(warnings))
 
 
+def _far_off(cost: float, problem: OrthogonalBundle, perspective: Bundle, x: np.ndarray) -> bool:
+    """Whether the perspective model, from a fixed point x, falls to a far lower cost: then it is a false one."""
+    if problem.dof < 1 or 2 * cost / problem.dof < FITS**2:
+        return False
+    best = solve(perspective, x, replace(BUNDLE, max_iterations=15)).last.cost
+    return cost > 2 * best + 5 * np.sqrt(2 * problem.dof)
+
+
 def _false_fixed_point(problem: OrthogonalBundle, x: np.ndarray) -> list[str]:
-    """Whether the perspective model, from this solution, falls to a far lower sum of squares: then it is not one."""
-    if problem.frozen or problem.extra or problem.dof < 1:
-        return []
+    """What to say of a solution that is a false fixed point."""
     plain = Bundle(problem.network, problem.inner)
-    here, best = plain.cost(x), solve(plain, x, replace(BUNDLE, max_iterations=15)).last.cost
-    if not here > 2 * best + 5 * np.sqrt(2 * problem.dof):
+    if problem.frozen or problem.extra or not _far_off(plain.cost(x), problem, plain, x):
         return []
-    return [f"false fixed point: the residuals' sum of squares is {here / max(best, 1e-300):.3g} times that of the perspective "
-            "model from the same values; do not use, take --model perspective"]
+    return ["false fixed point: the perspective model, from the same values, has far smaller residuals; do not use, take --model "
+            "perspective"]
 
 
 def _softened(problem: Bundle, x0: np.ndarray) -> np.ndarray:
