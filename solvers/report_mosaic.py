@@ -21,6 +21,9 @@ def mosaic_text(done: Mapping[str, Any], out: str) -> str:
         lines.append(f"predicted standard error of places: {min(sigma):.3g} to {max(sigma):.3g} {unit}")
     if done["check_rms_m"] is not None:
         lines.append(f"check points: {done['check_rms_m']:.3f} m rms")
+    seams = done["seams"]
+    if seams["places"]:
+        lines.append(f"seams: neighbours fit within {seams['rms']:.2f} px rms at {seams['places']} places")
     lines += [f"left out: {i['name']}: {i['why']}" for i in done["images"] if not i["used"]]
     lines += list(done["notes"])
     lines += [f"warning: {w}" for w in done["warnings"]]
