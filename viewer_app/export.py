@@ -6,7 +6,20 @@ from typing import Any
 
 import numpy as np
 
-from .values import Ellipsoid, Frustum, Mesh, Plane, PointCloud, Scene, Segments, Value, frustum_corners, linear
+from .values import (
+    Ellipsoid,
+    Frusta,
+    Frustum,
+    Mesh,
+    Plane,
+    PointCloud,
+    Scene,
+    Segments,
+    Value,
+    frusta_corners,
+    frustum_corners,
+    linear,
+)
 
 
 def glb(scene: Scene) -> bytes:
@@ -50,6 +63,11 @@ def _triangles(value: Value) -> Any:
     if isinstance(value, Frustum):
         faces = [[0, 2, 1], [0, 3, 2], [0, 4, 3], [0, 1, 4], [1, 2, 3], [1, 3, 4]]
         return _painted(np.vstack([value.exterior.centre, frustum_corners(value)]), faces, value.colour, 0.35)
+    if isinstance(value, Frusta):
+        corners = np.concatenate([value.centres[:, None], frusta_corners(value)], axis=1)
+        faces = np.array([[0, 2, 1], [0, 3, 2], [0, 4, 3], [0, 1, 4], [1, 2, 3], [1, 3, 4]])
+        every = (faces[None] + 5 * np.arange(len(corners))[:, None, None]).reshape(-1, 3)
+        return _painted(corners.reshape(-1, 3), every, value.colour, 1.0)
     return None
 
 

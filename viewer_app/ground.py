@@ -6,10 +6,13 @@ from functools import lru_cache
 
 import numpy as np
 
+from solvers.block import Points
+
 from . import theme
+from .kept import by_identity
 from .matching_state import Matching
-from .state import State
-from .values import Label, Mesh, Plane, Scene, Segments
+from .state import Assets, State
+from .values import Label, Mesh, Plane, PointCloud, Scene, Segments
 
 
 def nice(value: float) -> float:
@@ -20,13 +23,13 @@ def nice(value: float) -> float:
 
 def site(state: State) -> tuple[np.ndarray, np.ndarray]:
     """Corners (3,) low and high of the known points, with a little room around, in the local frame."""
-    xyz = state.assets.frame.to_local(state.block.points.xyz)
-    xyz = xyz[np.isfinite(xyz).all(axis=1)]
-    if not len(xyz):
+    extent = _extent(state.assets, state.block.points)
+    if extent is None:
         xyz = _instead(state)
-    if not len(xyz):
-        return np.full(3, -10.0), np.full(3, 10.0)
-    low, high = xyz.min(axis=0), xyz.max(axis=0)
+        extent = (xyz.min(axis=0), xyz.max(axis=0)) if len(xyz) else (np.full(3, -10.0), np.full(3, 10.0))
+        if not len(xyz):
+            return extent
+    low, high = extent
     room = np.array([1.0, 1.0, 0.0]) * max(float((high - low)[:2].max()) * 0.06, 1e-3)
     return low - room, high + room
 
@@ -53,8 +56,7 @@ def ground(state: State, vectors: float) -> Scene:
         low, high = np.minimum(low, corners[0]), np.maximum(high, corners[1])
         level = float(corners[0, 2]) - 0.02 * span
     else:
-        xyz = state.assets.frame.to_local(state.block.points.xyz)
-        heights = xyz[np.isfinite(xyz).all(axis=1), 2]
+        heights = known_points(state.assets, state.block.points)[:, 2]
         heights = heights if len(heights) else _instead(state)[:, 2]
         given = state.assets.level
         level = given if given is not None else float(heights.mean()) if len(heights) else 0.0
@@ -117,8 +119,7 @@ def lowered(state: State) -> float:
 
 def symbol_size(state: State) -> float:
     """Radius (m) of a point's symbol: a little of the site, less where points stand close together."""
-    xyz = state.assets.frame.to_local(state.block.points.xyz)
-    xyz = xyz[np.isfinite(xyz).all(axis=1)]
+    xyz = known_points(state.assets, state.block.points)
     low, high = site(state)
     size = 0.016 * float((high - low)[:2].max())
     if 2 <= len(xyz) <= 400:
@@ -134,28 +135,69 @@ def _spacing(xyz: bytes) -> float:
     return float(np.median(apart.min(axis=1)))
 
 
+NAMES = 300
+"""Names of points drawn at most."""
+
+
+@by_identity(4)
+def _by_role(points: Points) -> dict[str, np.ndarray]:
+    role = np.array(points.role)
+    return {kind: np.flatnonzero(role == kind) for kind in ("control", "check", "tie")}
+
+
+@by_identity(2)
+def _local(assets: Assets, points: Points) -> np.ndarray:
+    """Every point in the local frame (n, 3)."""
+    return assets.frame.to_local(points.xyz)
+
+
+@by_identity(2)
+def known_points(assets: Assets, points: Points) -> np.ndarray:
+    """Those that have coordinates, in the local frame (n, 3)."""
+    xyz = _local(assets, points)
+    return xyz[np.isfinite(xyz).all(axis=1)]
+
+
+@by_identity(2)
+def _extent(assets: Assets, points: Points) -> tuple[np.ndarray, np.ndarray] | None:
+    xyz = known_points(assets, points)
+    return (xyz.min(axis=0), xyz.max(axis=0)) if len(xyz) else None
+
+
+@by_identity(2)
+def _tie_points(assets: Assets, points: Points) -> PointCloud:
+    low, high = _extent(assets, points) or (np.zeros(3), np.ones(3))
+    size = 0.016 * float((high - low)[:2].max())
+    xyz = _local(assets, points)[_by_role(points)["tie"]]
+    xyz = xyz[np.isfinite(xyz).all(axis=1)]
+    return PointCloud(xyz, np.broadcast_to(np.array(theme.INITIAL, np.uint8), (len(xyz), 3)), 0.25 * size)
+
+
 def points(state: State) -> Scene:
     """Ground control: a cross in a circle (control) or a triangle (check); grey when off; the chosen one ringed."""
     block, found = state.block, Scene()
-    xyz = state.assets.frame.to_local(block.points.xyz)
-    known = np.isfinite(xyz).all(axis=1)
-    off = np.array([n in state.work.off for n in block.points.names], bool)
-    role = np.array(block.points.role)
+    xyz = _local(state.assets, block.points)
+    known: np.ndarray = np.asarray(np.isfinite(xyz).all(axis=1))
+    kinds = _by_role(block.points)
+    off = [j for j in (*kinds["control"], *kinds["check"]) if block.points.names[j] in state.work.off]
     size = symbol_size(state)
-    for name, which, colour, corners in (
-        ("control", (role == "control") & ~off, theme.CONTROL, 24),
-        ("check", (role == "check") & ~off, theme.CHECK, 3),
-        ("off", off, theme.INITIAL, 24),
+    for name, rows, colour, corners in (
+        ("control", np.setdiff1d(kinds["control"], off), theme.CONTROL, 24),
+        ("check", np.setdiff1d(kinds["check"], off), theme.CHECK, 3),
+        ("off", np.array(off, int), theme.INITIAL, 24),
     ):
-        at = xyz[known & which]
+        at = xyz[rows[known[rows]]]
         if len(at):
             found[f"/points/{name}"] = Segments(_symbols(at, size, corners), colour, 3.0)
+    ties = kinds["tie"]
+    if len(ties) and known[ties].any():
+        found["/points/tie"] = _tie_points(state.assets, block.points)
     if state.point in block.points.names:
         at = xyz[[block.point_index(state.point or "")]]
         if np.isfinite(at).all():
             found["/points/chosen"] = Segments(_symbols(at, 1.7 * size, 32)[3:], theme.foreground(state.view.dark), 3.0)
     if state.view.labels:
-        for j in np.flatnonzero(known & (role != "tie")):
+        for j in [j for j in (*kinds["control"], *kinds["check"]) if known[j]][:NAMES]:
             name = block.points.names[j]
             found[f"/points/names/{name.replace('/', '_')}"] = Label(name, xyz[j] + [size, size, 0], 0.7)
     return found

@@ -6,15 +6,16 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
+from solvers.block import Image
+
 from .acting import Action, handles
 from .actions_points import FIELDS
 from .scene import sight
-from .state import MODELS, State, Work, wanted
+from .state import MODELS, State, fresh, measured
 
 MOST = 400
 """Rows shown at once; the filter finds the others."""
@@ -134,7 +135,8 @@ def rows_of(state: State, table: str) -> tuple[tuple[Row, ...], int]:
     if order is not None:
         rows = sorted(rows, key=lambda r: sort_key(r.values.get(order[0], "")), reverse=order[1])
         rows = [r for r in rows if not _empty(r, order[0])] + [r for r in rows if _empty(r, order[0])]
-    return tuple(rows[:MOST]), len(rows)
+    count = len(state.block.images) if table != "points" and not tables.shown else len(rows)
+    return tuple(rows[:MOST]), count
 
 
 def _empty(row: Row, column: str) -> bool:
@@ -190,19 +192,14 @@ def _point_rows(state: State) -> list[Row]:
     return rows
 
 
-@lru_cache(maxsize=4)
-def _counts(work: Work) -> tuple[int, ...]:
-    return tuple(np.bincount(work.block.observations.image, minlength=len(work.block.images)).tolist())
-
-
 def _image_rows(state: State) -> list[Row]:
-    todo = {j.image for j in wanted(state)}
+    waits = state.held != state.work.revision
     rows = []
-    for image, n in zip(state.block.images, _counts(state.work), strict=True):
+    for image, n in _shown_images(state, "images"):
         rms = [s.orientation.rms_px if (s := state.solution(m, image.name)) and s.orientation else math.nan for m in MODELS]
         values = {
             "name": image.name,
-            "status": status(state, image.name, n, image.name in todo),
+            "status": status(state, image.name, n, waits),
             "n": n,
             "rms_p": rms[0],
             "rms_o": rms[1],
@@ -211,12 +208,19 @@ def _image_rows(state: State) -> list[Row]:
     return rows
 
 
+def _shown_images(state: State, table: str) -> list[tuple[Image, int]]:
+    """The images and how many points are measured in each; no more than are shown where no order or pattern asks for all."""
+    tables, counts = state.room(Tables), measured(state.block)
+    every = tables.shown or table in tables.sorting
+    return [(image, counts[image.name]) for image in state.block.images[: None if every else MOST]]
+
+
 def status(state: State, image: str, measured: int, waits: bool) -> str:
     """What has been found for an image, in a word or two."""
     if not measured:
         return "not measured"
     solutions = [s for m in MODELS if (s := state.solution(m, image))]
-    if waits and (not solutions or not all(s.done for s in solutions)):
+    if waits and not all(fresh(state.work, image, m) for m in MODELS):
         return "waits"
     solved = [s for s in solutions if s.orientation]
     if not solved:
@@ -228,7 +232,7 @@ def status(state: State, image: str, measured: int, waits: bool) -> str:
 
 def _orientation_rows(state: State) -> list[Row]:
     rows = []
-    for image in state.block.images:
+    for image, _ in _shown_images(state, "orientations"):
         solution = state.solution(MODELS[0], image.name)
         found = solution.orientation if solution else None
         values: dict[str, Any] = {"name": image.name}

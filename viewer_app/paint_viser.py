@@ -15,7 +15,7 @@ from solvers import Exterior
 from solvers.geometry import to_opencv
 
 from .tones import sent
-from .values import Ellipsoid, Frustum, Label, Mesh, Plane, PointCloud, Scene, Segments, Value, linear
+from .values import Ellipsoid, Frusta, Frustum, Label, Mesh, Plane, PointCloud, Scene, Segments, Value, linear
 
 
 class Painter:
@@ -112,6 +112,65 @@ def _change_frustum(nodes: list[Any], old: Frustum, new: Frustum) -> bool:
         node.scale = _frustum_scale(new)
     if old.thickness != new.thickness:
         node.thickness = new.thickness
+    return True
+
+
+PYRAMID = np.array([[0, 0, 0], [-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]], np.float32)
+FACES = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 1], [1, 3, 2], [1, 4, 3]], np.uint32)
+
+
+def _frusta_poses(value: Frusta) -> tuple[np.ndarray, np.ndarray]:
+    """Quaternions (n, 4) and centres (n, 3), float32."""
+    turned = np.swapaxes(value.matrices, 1, 2) * np.array([1.0, -1.0, -1.0])  # photo axes to x right, y down, z forward
+    return _quaternions(turned).astype(np.float32), value.centres.astype(np.float32)
+
+
+def _quaternions(r: np.ndarray) -> np.ndarray:
+    """wxyz (n, 4) of rotation matrices (n, 3, 3). Reference: Shepperd 1978, "Quaternion from rotation matrix"."""
+    d = np.diagonal(r, axis1=1, axis2=2)
+    trace = d.sum(axis=1)
+    size = np.column_stack([1 + trace, 1 + 2 * d - trace[:, None]])
+    a, b, c = r[:, 2, 1] - r[:, 1, 2], r[:, 0, 2] - r[:, 2, 0], r[:, 1, 0] - r[:, 0, 1]
+    e, f, g = r[:, 1, 0] + r[:, 0, 1], r[:, 0, 2] + r[:, 2, 0], r[:, 2, 1] + r[:, 1, 2]
+    rows = np.stack(
+        [
+            np.stack([size[:, 0], a, b, c], axis=1),
+            np.stack([a, size[:, 1], e, f], axis=1),
+            np.stack([b, e, size[:, 2], g], axis=1),
+            np.stack([c, f, g, size[:, 3]], axis=1),
+        ],
+        axis=1,
+    )
+    best = rows[np.arange(len(r)), size.argmax(axis=1)]
+    return best / np.linalg.norm(best, axis=1, keepdims=True)
+
+
+def _add_frusta(scene: viser.SceneApi, path: str, value: Frusta) -> list[Any]:
+    wxyz, positions = _frusta_poses(value)
+    scales = (np.column_stack([value.half, np.ones(len(value.half))]) * value.depth).astype(np.float32)
+    return [
+        scene.add_batched_meshes_simple(
+            path,
+            PYRAMID,
+            FACES,
+            wxyz,
+            positions,
+            batched_scales=scales,
+            batched_colors=linear(np.array(value.colour, np.uint8)),
+            lod="off",
+            flat_shading=True,
+            side="double",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+    ]
+
+
+def _change_frusta(nodes: list[Any], old: Frusta, new: Frusta) -> bool:
+    same = len(old.centres) == len(new.centres) and old.depth == new.depth and old.colour == new.colour
+    if not same or not _same(old.half, new.half):
+        return False
+    nodes[0].batched_wxyzs, nodes[0].batched_positions = _frusta_poses(new)
     return True
 
 
@@ -226,6 +285,7 @@ def _sphere() -> tuple[np.ndarray, np.ndarray]:
 
 ADD: dict[type, Callable[[viser.SceneApi, str, Any], list[Any]]] = {
     Frustum: _add_frustum,
+    Frusta: _add_frusta,
     Segments: _add_segments,
     PointCloud: _add_cloud,
     Ellipsoid: _add_ellipsoid,
@@ -235,6 +295,7 @@ ADD: dict[type, Callable[[viser.SceneApi, str, Any], list[Any]]] = {
 }
 CHANGE: dict[type, Callable[[list[Any], Any, Any], bool]] = {
     Frustum: _change_frustum,
+    Frusta: _change_frusta,
     Segments: _change_segments,
     Ellipsoid: _change_ellipsoid,
     Plane: _change_plane,

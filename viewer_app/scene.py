@@ -7,15 +7,16 @@ from functools import lru_cache
 
 import numpy as np
 
-from solvers import Exterior, Interior
+from solvers import Block, Exterior, Interior
 from solvers.cameras import ideal_photo
 from solvers.orientation import Orientation
 
 from . import theme
-from .ground import ground, nice, points, site
+from .ground import ground, known_points, nice, points, site
+from .kept import by_identity
 from .spots import spots
 from .state import MODELS, ONE_PASS, PRINTED, WITH_PRIOR, Assets, State, Work
-from .values import Ellipsoid, Frustum, Label, Plane, Scene, Segments, dashed, frustum_corners
+from .values import Ellipsoid, Frusta, Frustum, Label, Plane, Scene, Segments, dashed, frustum_corners
 
 CHI_95 = 2.7954834829151074
 """Square root of the 95 % quantile of chi-square with 3 degrees of freedom: the factor of a 95 % error ellipsoid."""
@@ -67,9 +68,48 @@ def scene(state: State) -> Scene:
     """All that is to be seen."""
     found: Scene = {**ground(state, vector_scale(state)), **points(state), **spots(state)}
     depth = frustum_depth(state)
+    if len(state.block.images) > MANY:
+        return found | _many(state, depth) | _image(state, state.image, depth)
     for image in state.block.images:
         found |= _image(state, image.name, depth)
     return found
+
+
+MANY = 60
+"""Images above which the others than the chosen one are drawn together, without names and photos."""
+
+
+def _many(state: State, depth: float) -> Scene:
+    """All images but the chosen one, one node per kind of solution."""
+    found: Scene = {}
+    half, chosen = _half(state.block), state.block.image_index(state.image)
+    for model in MODELS:
+        names, vectors = final_vectors(state.work, model)
+        on = np.flatnonzero(names != chosen)
+        if getattr(state.view, model) and len(on):
+            size = depth * (1 if model == "perspective" else 1.2)
+            centres, matrices = vectors[on, :3], vectors[on, 3:12].reshape(-1, 3, 3)
+            found[f"/images/{model}"] = Frusta(centres, matrices, half[names[on]], size, theme.MODELS[model])
+    return found
+
+
+@by_identity(4)
+def _half(block: Block) -> np.ndarray:
+    """Tangents (n, 2) of half the angles of view of every image."""
+    cameras = {name: np.array([c.width * c.pitch[0], c.height * c.pitch[1]]) / 2 / c.c for name, c in block.cameras.items()}
+    return np.array([cameras[image.camera] for image in block.images])
+
+
+@lru_cache(maxsize=4)
+def final_vectors(work: Work, model: str) -> tuple[np.ndarray, np.ndarray]:
+    """Images (k,) by number that have a solution by a model, and its last pose (k, 12): centre, matrix by rows."""
+    solutions = work.solutions
+    every = [solutions.get((image.name, model)) for image in work.block.images]
+    names = [k for k, s in enumerate(every) if s is not None and s.rows]
+    if not names:
+        return np.zeros(0, int), np.zeros((0, 12))
+    poses = np.concatenate([s.rows[-1].x[:12] for s in every if s is not None and s.rows])
+    return np.array(names), poses.reshape(-1, 12)
 
 
 def sight(state: State, model: str, image: str | None = None) -> Sight | None:
@@ -114,8 +154,8 @@ def frustum_depth(state: State) -> float:
     """Depth (m) at which image planes are drawn: a twelfth of the way to the ground, at least a tenth of the site."""
     xyz = _known(state)
     site = float(np.linalg.norm(np.ptp(xyz, axis=0))) if len(xyz) else 1.0
-    centres = [e.centre for i in state.block.images if (e := any_exterior(state, i.name))]
-    far = float(np.median([np.linalg.norm(c - xyz.mean(axis=0)) for c in centres])) if centres and len(xyz) else 0.0
+    at = centres(state)
+    far = float(np.median(np.linalg.norm(at - xyz.mean(axis=0), axis=1))) if len(at) and len(xyz) else 0.0
     return nice(max(0.07 * site, 0.08 * far, 1e-3))
 
 
@@ -125,9 +165,18 @@ def ellipsoid_scale(state: State, orientation: Orientation) -> float:
     return float(np.clip(nice(0.8 * frustum_depth(state) / largest), 1.0, 1000.0)) if largest > 0 else 1.0
 
 
+def centres(state: State) -> np.ndarray:
+    """Where the images are (n, 3), as far as anything says so."""
+    if len(state.block.images) > MANY:
+        found = next((v for m in MODELS if len(v := final_vectors(state.work, m)[1])), None)
+        if found is not None:
+            return found[:, :3]
+    at = [e.centre for i in state.block.images[: 4 * MANY] if (e := any_exterior(state, i.name))]
+    return np.array(at).reshape(-1, 3)
+
+
 def _known(state: State) -> np.ndarray:
-    xyz = state.assets.frame.to_local(state.block.points.xyz)
-    return xyz[np.isfinite(xyz).all(axis=1)]
+    return known_points(state.assets, state.block.points)
 
 
 def any_exterior(state: State, image: str) -> Exterior | None:

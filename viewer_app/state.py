@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -13,6 +14,8 @@ from solvers import Block, Exterior
 from solvers.adjustment import Iteration
 from solvers.geometry import LocalFrame, Surface
 from solvers.orientation import Advice, Orientation
+
+from .kept import by_identity
 
 MODELS = ("perspective", "orthogonal")
 ONE_PASS, PRINTED, WITH_PRIOR = "one pass", "as printed", "with prior"
@@ -236,20 +239,66 @@ class Job:
 
 def wanted(state: State) -> tuple[Job, ...]:
     """What has still to be solved, the chosen image first; nothing after a cancel, until the next edit."""
-    work, of = state.work, state.block.observations
+    work = state.work
     if state.held == work.revision:
         return ()
-    measured = [i.name for k, i in enumerate(work.block.images) if (of.image == k).any()]
-    images = sorted(measured, key=lambda name: name != state.image)
-    todo = [(image, model) for image in images for model in MODELS]
-    if state.image in measured:
-        todo[len(MODELS) : len(MODELS)] = [(state.image, model) for model in (*prior_models(work.block, state.image), ADVICE)]
-    on = frozenset(state.control())
-    return tuple(
-        Job(image, model, work.revision, work.block, _seen(work.block, image, on), work.settings)
-        for image, model in todo
-        if not ((s := work.solutions.get((image, model))) and s.revision == work.revision and s.done)
-    )
+    todo = islice(((i, m) for i, m in _todo(state) if not fresh(work, i, m)), AHEAD)
+    seen: dict[str, tuple[str, ...]] = {}
+    jobs = []
+    for image, model in todo:
+        if image not in seen:
+            seen[image] = tuple(n for n in control_seen(work.block, image) if n not in work.off)
+        jobs.append(Job(image, model, work.revision, work.block, seen[image], work.settings))
+    return tuple(jobs)
+
+
+AHEAD = 40
+"""Jobs listed at most: there may be thousands of images."""
+
+
+def _todo(state: State) -> Iterator[tuple[str, str]]:
+    """Every image and model that may be solved, the chosen image first with what its prior allows and its advice."""
+    counts = measured(state.block)
+    if counts.get(state.image):
+        for model in (*MODELS, *prior_models(state.block, state.image), ADVICE):
+            yield state.image, model
+    for image, count in counts.items():
+        if count and image != state.image:
+            for model in MODELS:
+                yield image, model
+
+
+def fresh(work: Work, image: str, model: str) -> bool:
+    """Whether an image is solved as things are now."""
+    solution = work.solutions.get((image, model))
+    return solution is not None and solution.revision == work.revision and solution.done
+
+
+@by_identity(4)
+def measured(block: Block) -> Mapping[str, int]:
+    """How many points are measured in each image."""
+    counts = np.bincount(block.observations.image, minlength=len(block.images)).tolist()
+    return {image.name: count for image, count in zip(block.images, counts, strict=True)}
+
+
+@by_identity(4)
+def _rows_by_image(block: Block) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of the observations sorted by image, and where each image begins (n + 1,)."""
+    order = np.argsort(block.observations.image, kind="stable")
+    return order, np.searchsorted(block.observations.image[order], np.arange(len(block.images) + 1))
+
+
+@by_identity(4)
+def _index_of_images(block: Block) -> Mapping[str, int]:
+    return {image.name: k for k, image in enumerate(block.images)}
+
+
+def control_seen(block: Block, image: str) -> tuple[str, ...]:
+    """Names of the control points measured in an image, in file order."""
+    order, begin = _rows_by_image(block)
+    k = _index_of_images(block)[image]
+    points = block.observations.point[order[begin[k] : begin[k + 1]]].tolist()
+    return tuple(block.points.names[j] for j in points if block.points.role[j] == "control")
 
 
 def prior_models(block: Block, image: str) -> tuple[str, ...]:
@@ -258,8 +307,3 @@ def prior_models(block: Block, image: str) -> tuple[str, ...]:
     if prior is None or prior.centre is None or prior.angles is None:
         return ()
     return (ONE_PASS, PRINTED) if prior.sigma_m is None and prior.sigma_rad is None else (ONE_PASS, PRINTED, WITH_PRIOR)
-
-
-def _seen(block: Block, image: str, on: frozenset[str]) -> tuple[str, ...]:
-    names = (block.points.names[block.observations.point[r]] for r in block.seen_in(image, ("control",)))
-    return tuple(n for n in names if n in on)

@@ -26,6 +26,18 @@ class Frustum:
 
 
 @dataclass(frozen=True, eq=False)
+class Frusta:
+    """Many cameras as one: centres (n, 3) m, matrices (n, 3, 3) object to photo axes, half (n, 2) tangents of half the angles of
+    view across and down, depth (m)."""
+
+    centres: np.ndarray
+    matrices: np.ndarray
+    half: np.ndarray
+    depth: float
+    colour: Colour
+
+
+@dataclass(frozen=True, eq=False)
 class Segments:
     """Line segments (n, 2, 3), thickness in pixels of the screen."""
 
@@ -91,6 +103,14 @@ def frustum_corners(value: Frustum) -> np.ndarray:
     return camera @ value.exterior.m + value.exterior.centre
 
 
+def frusta_corners(value: Frusta) -> np.ndarray:
+    """Corners (n, 4, 3) of the image planes of many cameras."""
+    signs = np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]], float)
+    across = signs[None] * value.half[:, None] * value.depth
+    camera = np.concatenate([across, np.full((*across.shape[:2], 1), -value.depth)], axis=2)
+    return camera @ value.matrices + value.centres[:, None]
+
+
 def dashed(lines: np.ndarray, length: float) -> np.ndarray:
     """Segments (k, 2, 3) that draw lines (n, 2, 3) as dashes, dash and gap each about `length` m."""
     pieces = []
@@ -107,6 +127,6 @@ def linear(colours: np.ndarray) -> np.ndarray:
     return np.round(255 * np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)).astype(np.uint8)
 
 
-Value = Frustum | Segments | PointCloud | Ellipsoid | Plane | Mesh | Label
+Value = Frustum | Frusta | Segments | PointCloud | Ellipsoid | Plane | Mesh | Label
 Scene = dict[str, Value]
 """Entity path -> value; the same paths in viser and rerun."""

@@ -54,7 +54,7 @@ class PhotoPanel:
         buttons = gui.add_button_group(
             "Zoom",
             ZOOMS,
-            hint="Closer, farther, the whole photo, or 800 % around the mark or the chosen point. Keys: Z, X, 0, 8.",
+            hint="Closer, farther, the whole photo, or 800 % around the mark or the chosen point. Keys: Z, Shift+Z, 0, 8.",
         )
         zooms = dict(zip(ZOOMS, (ZoomPhoto(2.0), ZoomPhoto(0.5), ShowWhole(), ZoomToMark()), strict=True))
 
@@ -321,7 +321,7 @@ TAB = Tab(
         Command("Drop mark", Unmark()),
         Command("Forget places", ForgetSpots()),
         Command("Zoom photo in", ZoomPhoto(2.0), "Z"),
-        Command("Zoom photo out", ZoomPhoto(0.5), "X"),
+        Command("Zoom photo out", ZoomPhoto(0.5), "Z", "shift"),
         Command("Whole photo", ShowWhole(), "0"),
         Command("Zoom photo to the mark or point", ZoomToMark(), "8", hint="One photo pixel as eight of the page."),
     ),

@@ -13,7 +13,7 @@ from solvers.io import write_project
 from .. import export, theme
 from ..actions import ChooseImage, Saved, Say, Show
 from ..bridge import Wire
-from ..state import MODELS, State
+from ..state import MODELS, State, measured
 from ..tabs import Desk, Tab, whole_scene
 from .rerun import RerunPanel
 from .widgets import BOX, MUTED, Html, bind, esc, prop, put, swatch, table
@@ -150,8 +150,9 @@ def project_html(state: State, wire: Wire) -> str:
     for name, c in block.cameras.items():
         facts.append(f"camera {esc(name)}: c {c.c:g} mm, {c.width} × {c.height} px of {c.pitch[0] * 1000:.4g} µm")
     rows = []
-    for image in block.images:
-        seen = len(block.seen_in(image.name))
+    counts = measured(block)
+    for image in block.images[:200]:
+        seen = counts[image.name]
         good = [s.orientation.rms_px if (s := state.solution(m, image.name)) and s.orientation else None for m in MODELS]
         state_of = [f"{v:.2f}" if v is not None else "–" for v in good]
         weight = 'style="font-weight:600"' if image.name == state.image else ""

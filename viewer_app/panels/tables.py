@@ -6,7 +6,7 @@ import numpy as np
 
 from ..bridge import Wire
 from ..scene import CHI_95, Sight, sight
-from ..state import ADVICE, MODELS, State, wanted
+from ..state import ADVICE, MODELS, State, fresh, measured, wanted
 from ..theme import CHECK, CONTROL, INITIAL
 from ..theme import MODELS as COLOURS
 from .widgets import BOX, MUTED, decimals, esc, swatch, table
@@ -71,7 +71,7 @@ def words(state: State) -> str:
     if busy:
         lines.append(f"<div>Solving {esc(state.image)}: {' and '.join(busy)} …</div>")
     elif todo:
-        lines.append(f"<div {MUTED}>Solving the other images: {len({i for i, _ in todo})} to do …</div>")
+        lines.append(f"<div {MUTED}>Solving the other images: {_waiting(state)} to do …</div>")
     if state.message:
         lines.append(f"<div>{esc(state.message)}</div>")
     for model in MODELS:
@@ -100,12 +100,18 @@ def words(state: State) -> str:
     return f'<div {BOX}><div role="status" aria-label="Messages">{"".join(lines)}</div></div>'
 
 
+def _waiting(state: State) -> int:
+    """Images that are not solved as things are now."""
+    counts = measured(state.block)
+    return sum(1 for image, n in counts.items() if n and not all(fresh(state.work, image, m) for m in MODELS))
+
+
 def _unsaid(state: State) -> list[str]:
     """What is not drawn, and why."""
     block = state.block
     if not block.images:
         return [f"<div {MUTED}>This project has no images yet.</div>"]
-    seen = int((block.observations.image == block.image_index(state.image)).sum())
+    seen = measured(block)[state.image]
     said = []
     if not seen:
         said.append(
@@ -113,9 +119,8 @@ def _unsaid(state: State) -> list[str]:
         )
     if state.image not in state.assets.truth and state.assets.truth:
         said.append("The simulation knows no truth for this image.")
-    missing = sum(
-        1 for i in block.images if state.exterior("perspective", i.name) is None and state.exterior("orthogonal", i.name) is None
-    )
+    found = state.work.solutions
+    missing = sum(1 for i in block.images if not any((s := found.get((i.name, m))) and s.rows for m in MODELS))
     if missing and not wanted(state):
         said.append(f"{missing} of {len(block.images)} images have no solution and are not drawn.")
     return [f"<div {MUTED}>{esc(s)}</div>" for s in said]

@@ -1,0 +1,255 @@
+"""The viewer at scale and under work, with a real browser connected: processor time, bytes and messages on the wire.
+
+    python benchmarks/viewer.py [cameras scrub points work]
+
+Frame times of a browser without a graphics card are reported, not judged.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from solvers import Block, Exterior, Image, Interior, Observations, Points  # noqa: E402
+from solvers.adjustment import Iteration  # noqa: E402
+from solvers.geometry import LocalFrame  # noqa: E402
+from tests.browser import ViserPage, viser_page  # noqa: E402
+from viewer_app import solving  # noqa: E402
+from viewer_app.actions import Cancel, ChoosePoint, SwitchPoint  # noqa: E402
+from viewer_app.app import App  # noqa: E402
+from viewer_app.bridge import open_server  # noqa: E402
+from viewer_app.paint_viser import Painter  # noqa: E402
+from viewer_app.state import MODELS, Assets, Job, Solution, State, View, Work  # noqa: E402
+from viewer_app.tabs import whole_scene  # noqa: E402
+from viewer_app.values import Frusta, PointCloud, Scene, Segments  # noqa: E402
+
+CAMERA = Interior(35.0, pixel_mm=0.0039, width=6000, height=4000)
+BLUE, RED = (0, 114, 178), (213, 94, 0)
+
+
+def many_cameras(n: int) -> State:
+    """A project of n images, all solved by both models, over 400 control points."""
+    rng = np.random.default_rng(1)
+    side = int(np.ceil(np.sqrt(n)))
+    grid = np.stack(np.meshgrid(np.arange(side), np.arange(side)), -1).reshape(-1, 2)[:n] * 40.0
+    xyz = np.column_stack([rng.uniform(0, side * 40.0, (400, 2)), rng.uniform(0, 20, 400)])
+    points = Points(tuple(f"G{i}" for i in range(400)), xyz, np.full((400, 3), np.nan), ("control",) * 400)
+    images = tuple(Image(f"I{k:05d}", "c") for k in range(n))
+    of = Observations(
+        np.repeat(np.arange(n), 4), rng.integers(0, 400, 4 * n), rng.uniform(0, 4000, (4 * n, 2)), np.full(4 * n, 0.5)
+    )
+    block = Block("scale", "local", {"c": CAMERA}, images, points, of)
+    frame = LocalFrame.around(xyz, "local")
+    solutions: dict[tuple[str, str], Solution] = {}
+    for k, image in enumerate(images):
+        at = frame.to_local(np.array([*grid[k], 300.0]))
+        for model in MODELS:
+            x = Exterior.from_angles(*rng.normal(0, 0.05, 3), centre=at + rng.normal(0, 0.1, 3)).vector
+            solutions[image.name, model] = Solution(
+                0, (Iteration(0, x, 1.0, 1.0, 0.0, 0.0, 0.0, 1, "step"),), error="not solved here"
+            )
+    return State(Work(block, solutions=solutions), Assets(None, frame), images[0].name, View(labels=False))
+
+
+def spent(do: Callable[[], Any]) -> tuple[float, Any]:
+    """Processor time [ms] and the result."""
+    began = time.process_time()
+    result = do()
+    return 1e3 * (time.process_time() - began), result
+
+
+def cameras(n: int = 10_000) -> dict[str, Any]:
+    """Budget: at most 10 nodes for the cameras, 50 ms of processor to build, 2 MB on the wire."""
+    state = many_cameras(n)
+    whole_scene(many_cameras(100))  # what is loaded once is no part of it
+    scene_ms, scene = spent(lambda: whole_scene(state))
+    found: Scene = {k: v for k, v in scene.items() if isinstance(v, Frusta)}
+    server = open_server()
+    painter = Painter(server)
+    paint_ms, _ = spent(lambda: painter.paint(found))
+    with viser_page(server.get_port(), size=(640, 480)) as v:
+        v.wait_nodes(*found, timeout=120)
+        quiet(v)
+        out = {
+            "cameras": n,
+            "nodes": len(found),
+            "all_nodes": len(scene),
+            "scene_cpu_ms": scene_ms,
+            "paint_cpu_ms": paint_ms,
+            "page_and_scene_MB": v.log.bytes_received / 1e6,
+            "cameras_MB": sum(size(f) for f in found.values() if isinstance(f, Frusta)) / 1e6,
+        }
+    server.stop()
+    return out
+
+
+def size(value: Frusta) -> int:
+    """Bytes of what is sent of many cameras: quaternion, centre and scale, float32."""
+    return len(value.centres) * 4 * (4 + 3 + 3)
+
+
+def scrub(n: int = 1000, residuals: int = 10_000, ticks: int = 20) -> dict[str, Any]:
+    """Budget per tick: one message, 20 ms of processor, 850 kB, never a torn frame."""
+    rng = np.random.default_rng(2)
+    server = open_server()
+    painter = Painter(server)
+    base = many_cameras(n)
+    first = next(v for v in whole_scene(base).values() if isinstance(v, Frusta))
+    start = rng.uniform(-500, 500, (residuals, 1, 3))
+
+    def tick(k: int) -> Scene:
+        moved = replace(first, centres=first.centres + np.array([0.0, 0.0, 0.01 * k]))
+        ends = start + rng.normal(0, 1, start.shape)
+        return {
+            "/cameras": moved,
+            "/residuals": Segments(np.concatenate([start, ends], axis=1), RED, 1.0),
+            "/marker": Segments(np.full((1, 2, 3), 0.01 * k), BLUE),
+        }
+
+    painter.paint(tick(0))
+    cpu, torn = [], 0
+    with viser_page(server.get_port(), size=(480, 320)) as v:
+        v.wait_nodes("/cameras", "/residuals", "/marker", timeout=120)
+        v.wait_frames(2)
+        quiet(v)
+        bytes_before, frames_before = v.log.bytes_received, v.log.frames_received
+        for k in range(1, ticks + 1):
+            scene, began = tick(k), time.process_time()
+            painter.paint(scene)
+            server.flush()
+            seen = v.log.frames_received
+            v.wait_until(lambda seen=seen: v.log.frames_received > seen, "the tick", 20)
+            quiet(v)
+            cpu.append(1e3 * (time.process_time() - began))
+            torn += not whole_tick(v, float(first.centres[0, 2]))
+        out = {
+            "cameras": n,
+            "residuals": residuals,
+            "messages_per_tick": (v.log.frames_received - frames_before) / ticks,
+            "kB_per_tick": (v.log.bytes_received - bytes_before) / ticks / 1e3,
+            "cpu_ms_min": min(cpu),
+            "cpu_ms_median_with_browser_driver": float(np.median(cpu)),
+            "torn": torn,
+        }
+    flush = []
+    for k in range(ticks):  # without the driver of the browser in the same process
+        scene, began = tick(k + 100), time.process_time()
+        painter.paint(scene)
+        server.flush()
+        time.sleep(0.15)
+        flush.append(1e3 * (time.process_time() - began))
+    out["cpu_ms_median"] = float(np.median(flush))
+    server.stop()
+    return out
+
+
+def quiet(v: ViserPage) -> None:
+    """Until nothing comes any more."""
+    while True:
+        before = v.log.frames_received
+        v.page.wait_for_timeout(150)
+        if v.log.frames_received == before:
+            return
+
+
+def whole_tick(v: ViserPage, height: float) -> bool:
+    """Whether cameras and marker in the browser belong to one tick."""
+    heights = v.page.evaluate("""() => { const t = window.__viserSceneTree.getState();
+        const m = n => t[n]?.message?.props; const c = m('/cameras')?.batched_positions, p = m('/marker')?.points;
+        const z = a => a ? new Float32Array(a.buffer.slice(a.byteOffset, a.byteOffset + 12))[2] : null; return [z(c), z(p)]; }""")
+    return heights[0] is not None and heights[1] is not None and abs(heights[0] - height - heights[1]) < 2e-3
+
+
+def points(n: int = 5_000_000) -> dict[str, Any]:
+    """Budget: 2 s and 80 MB until it is sent."""
+    rng = np.random.default_rng(3)
+    cloud = PointCloud(rng.uniform(-500, 500, (n, 3)).astype(np.float32), rng.integers(0, 255, (n, 3), dtype=np.uint8), 0.1)
+    server = open_server()
+    painter = Painter(server)
+    with viser_page(server.get_port(), size=(320, 240)) as v:
+        quiet(v)
+        bytes_before, began = v.log.bytes_received, time.perf_counter()
+        ms, _ = spent(lambda: (painter.paint({"/cloud": cloud}), server.flush()))
+        built = time.perf_counter() - began
+        v.wait_until(lambda: v.log.bytes_received - bytes_before > 14 * n, "the points", 60)
+        out = {
+            "points": n,
+            "build_s": built,
+            "sent_s": time.perf_counter() - began,
+            "cpu_ms": ms,
+            "MB": (v.log.bytes_received - bytes_before) / 1e6,
+        }
+    server.stop()
+    return out
+
+
+def busy(job: Job) -> Any:
+    """A solver that never looks up."""
+    end = time.monotonic() + 60
+    while time.monotonic() < end:
+        sum(i * i for i in range(100_000))
+    yield ()
+
+
+def work() -> dict[str, Any]:
+    """Budget: the page's actions within 100 ms during a solve, cancel within 0.5 s; a click's solution within 100 ms."""
+    folder = Path(tempfile.mkdtemp()) / "demo"
+    shutil.copytree(ROOT / "assets" / "demo", folder, ignore=shutil.ignore_patterns("runs"))
+    with App(folder) as app, viser_page(app.port, size=(900, 600)) as v:
+        v.wait_until(app.settled, "the solutions", 120)
+        clicks = [timed(app, name) for name in app.state.control()[:8]]
+        honest, solving.solve = solving.solve, busy
+        app.emit(SwitchPoint(app.state.control()[0]))
+        time.sleep(0.5)
+        answers = []
+        for name in app.state.block.points.names[:20]:
+            began = time.perf_counter()
+            app.emit(ChoosePoint(name))
+            app._actions.join()
+            answers.append(1e3 * (time.perf_counter() - began))
+        before, began = app._jobs.processes(), time.perf_counter()
+        app.emit(Cancel())
+        while app._jobs.processes() == before:
+            time.sleep(0.001)
+        cancelled = time.perf_counter() - began
+        solving.solve = honest
+    return {
+        "click_to_both_solutions_ms": float(np.median(clicks)),
+        "answer_ms_median": float(np.median(answers)),
+        "answer_ms_max": max(answers),
+        "cancel_s": cancelled,
+    }
+
+
+def timed(app: App, name: str) -> float:
+    revision, began = app.state.work.revision, time.perf_counter()
+    app.emit(SwitchPoint(name))
+    while not all((s := app.state.solution(m)) and s.revision > revision and s.done for m in MODELS):
+        time.sleep(0.001)
+    taken = 1e3 * (time.perf_counter() - began)
+    while not app.settled():
+        time.sleep(0.01)
+    return taken
+
+
+CASES: dict[str, Callable[[], dict[str, Any]]] = {"cameras": cameras, "scrub": scrub, "points": points, "work": work}
+
+
+if __name__ == "__main__":
+    for case in sys.argv[1:] or CASES:
+        numbers = CASES[case]()
+        print(
+            json.dumps({"case": case} | {k: round(x, 3) if isinstance(x, float) else x for k, x in numbers.items()}), flush=True
+        )

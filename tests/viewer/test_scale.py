@@ -1,0 +1,69 @@
+"""Thousands of images: few nodes, the same poses as one by one, little work asked for at once."""
+
+from __future__ import annotations
+
+import numpy as np
+import trimesh
+from viser import transforms as tf
+
+from benchmarks.viewer import many_cameras
+from viewer_app.export import glb
+from viewer_app.lists import MOST, rows_of
+from viewer_app.paint_viser import _frusta_poses, _quaternions, frustum_pose
+from viewer_app.scene import MANY
+from viewer_app.state import AHEAD, MODELS, measured, wanted
+from viewer_app.tabs import whole_scene
+from viewer_app.values import Frusta, Frustum, frusta_corners, frustum_corners
+
+
+def test_two_thousand_images_are_a_few_nodes() -> None:
+    scene = whole_scene(many_cameras(2000))
+    batches = [v for v in scene.values() if isinstance(v, Frusta)]
+    assert len(batches) == 2 and all(len(b.centres) == 1999 for b in batches)
+    cameras = [path for path, value in scene.items() if isinstance(value, Frusta | Frustum) or path.endswith("camera")]
+    assert len(cameras) <= 10 and "/images/I00000/perspective/camera" in scene
+
+
+def test_a_batch_stands_as_single_frustums_do() -> None:
+    state = many_cameras(MANY + 1)
+    batch = whole_scene(state)["/images/perspective"]
+    assert isinstance(batch, Frusta)
+    wxyz, centres = _frusta_poses(batch)
+    for k in range(MANY):
+        exterior = state.exterior("perspective", f"I{k + 1:05d}")
+        assert exterior is not None
+        one, at = frustum_pose(exterior)
+        assert np.allclose(at, centres[k], atol=1e-3) and abs(abs(one @ wxyz[k]) - 1) < 1e-6
+        x, y = batch.half[k]
+        single = Frustum(exterior, 2 * np.arctan(y), x / y, batch.depth, batch.colour)
+        assert np.allclose(frustum_corners(single), frusta_corners(batch)[k])
+
+
+def test_quaternions_of_any_rotation() -> None:
+    rng = np.random.default_rng(1)
+    q = rng.normal(size=(500, 4))
+    half_turns = np.array([[0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1], [1, 0, 0, 0], [0, 1, 1, 0], [0, 0, 1, 1]], float)
+    q = np.concatenate([q, half_turns])
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    found = _quaternions(np.array([tf.SO3(v).as_matrix() for v in q]))
+    assert np.allclose(np.abs((found * q).sum(axis=1)), 1, atol=1e-12)
+
+
+def test_little_is_wanted_at_once_and_all_in_the_end() -> None:
+    state = many_cameras(500)
+    jobs = wanted(state)
+    assert len(jobs) <= AHEAD and {j.model for j in jobs} >= {"advice"} - set(MODELS)
+    assert sum(measured(state.block).values()) == len(state.block.observations)
+
+
+def test_tables_of_many_images_show_the_first() -> None:
+    rows, count = rows_of(many_cameras(1000), "images")
+    assert len(rows) == MOST and count == 1000
+
+
+def test_many_cameras_are_exported() -> None:
+    import io
+
+    state = many_cameras(MANY + 5)
+    loaded = trimesh.load(io.BytesIO(glb(whole_scene(state))), file_type="glb")
+    assert "/images/perspective" in loaded.graph.nodes
