@@ -356,8 +356,11 @@ def test_wheel_and_shift_drag_move_about_the_photo(session: Session) -> None:
     app, v = session
     v.open_tab("Photo")
     camera = app.state.block.camera_of(app.state.image)
+    picture = v.page.get_by_role("img", name="Photo ")
+    box = picture.bounding_box()
+    assert box
+    picture.hover(position={"x": 0.6 * box["width"], "y": 0.4 * box["height"]})  # waits until it lies still
     place = photo_place(app, v, 0.6 * camera.width, 0.4 * camera.height)
-    v.page.mouse.move(*place)
     v.page.mouse.wheel(0, -240)
     v.wait_until(lambda: window(app.state).width < camera.width, "the zoom")
     shown = window(app.state)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import trimesh
 from viser import transforms as tf
@@ -65,5 +67,5 @@ def test_many_cameras_are_exported() -> None:
     import io
 
     state = many_cameras(MANY + 5)
-    loaded = trimesh.load(io.BytesIO(glb(whole_scene(state))), file_type="glb")
+    loaded: Any = trimesh.load(io.BytesIO(glb(whole_scene(state))), file_type="glb")
     assert "/images/perspective" in loaded.graph.nodes
