@@ -35,12 +35,15 @@ def test_targets_lie_where_they_are(tmp_path):
 
     folder = Path(demo_assets())
     block, truth = read_project(folder), read_truth(folder)
+    assert truth is not None
     points = np.array(list(truth["points"].values()))
     frame, names = LocalFrame.around(points, "local"), tuple(truth["images"])
-    exteriors = tuple(Exterior.from_angles(*(float(np.radians(t[a])) for a in ("omega_deg", "phi_deg", "kappa_deg")),
-                                           np.array([t["X"], t["Y"], t["Z"]]) - frame.origin) for t in truth["images"].values())
+    exteriors = []
+    for t in truth["images"].values():
+        omega, phi, kappa = (float(np.radians(t[a])) for a in ("omega_deg", "phi_deg", "kappa_deg"))
+        exteriors.append(Exterior.from_angles(omega, phi, kappa, np.array([t["X"], t["Y"], t["Z"]]) - frame.origin))
     registration = Registration("exterior", "controlled", "simultaneous", names, tuple(block.camera_of(n) for n in names), None,
-                                exteriors, np.zeros(3), frame, "m", np.zeros((5, 6, 6)), np.zeros(5), 0.0, Trace((), {}))
+                                tuple(exteriors), np.zeros(3), frame, "m", np.zeros((5, 6, 6)), np.zeros(5), 0.0, Trace((), {}))
     out = tmp_path / "demo.tif"
     said = compose_photos(registration, {n: photo_path(folder, block, n) for n in names}, out,
                           ComposeRequest(surface=str(folder / "dem.tif"), blend="feather"))
