@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
@@ -19,22 +20,20 @@ _RING = np.linspace(3.1, 3.9, 9)  # dot radii, the middle of the code ring
 def number_targets(image: np.ndarray, targets: Targets) -> Targets:
     """The targets with labels "row-column" of the grid ("0-0" top left; coded dots too); "" for dots off the grid.
 
-    Raises DegenerateGeometry unless each of the four codes is seen once.
+    A code that is seen more than once (a shadow can look like one) is where most dots then come to lie on the grid.
+    Raises DegenerateGeometry where one of the four codes is not seen, or none of the choices puts the dots on a grid.
     """
     sectors = code_sectors(image, targets)
-    found = {n: np.flatnonzero(sectors == n) for n in CORNERS}
-    wrong = [f"{n} sectors: {len(i)}" for n, i in found.items() if len(i) != 1]
-    if wrong:
-        raise DegenerateGeometry(f"the dots cannot be numbered, coded corners seen ({', '.join(wrong)}): each must be seen once")
-    corner = [int(i[0]) for i in found.values()]
-    cells = np.zeros((len(targets), 2))
-    known, place = np.array(corner), np.array(list(CORNERS.values()), float)
-    for _ in range(3):
-        matrix = _homography(targets.pixel[known], place)
-        homogeneous = np.column_stack([targets.pixel, np.ones(len(targets))]) @ matrix.T
-        cells = homogeneous[:, :2] / homogeneous[:, 2:]
-        known = np.flatnonzero(np.abs(cells - np.round(cells)).max(1) < 0.25)
-        place = np.round(cells[known])
+    found = {n: np.flatnonzero(sectors == n)[:6] for n in CORNERS}
+    missing = [f"{n} sectors" for n, i in found.items() if not len(i)]
+    if missing:
+        raise DegenerateGeometry(f"the dots cannot be numbered, coded corners not seen: {', '.join(missing)}; take a photo that "
+                                 "shows all four")
+    choices = [c for c in product(*(map(int, i) for i in found.values())) if len(set(c)) == len(c)]
+    cells = max((_cells(targets, list(corner)) for corner in choices), key=_on_grid, default=None)
+    if cells is None or _on_grid(cells) < max(8, 0.5 * len(targets)):
+        raise DegenerateGeometry("the dots cannot be numbered: the coded corners do not put them on a grid; take a sharper photo")
+    known = np.flatnonzero(np.abs(cells - np.round(cells)).max(1) < 0.25)
     label = np.array([""] * len(targets), dtype="<U16")
     for i in known:
         row, col = np.round(cells[i]).astype(int)
@@ -42,6 +41,32 @@ def number_targets(image: np.ndarray, targets: Targets) -> Targets:
     names, counts = np.unique(label[label != ""], return_counts=True)
     label[np.isin(label, names[counts > 1])] = ""
     return replace(targets, label=label)
+
+
+def _cells(targets: Targets, corner: list[int]) -> np.ndarray:
+    """(N, 2) row, column of the targets when these are the coded corners, in the order of `CORNERS`; NaN where they cannot be."""
+    known, place = np.array(corner), np.array(list(CORNERS.values()), float)
+    cells = np.full((len(targets), 2), np.nan)
+    for _ in range(3):
+        try:
+            matrix = _homography(targets.pixel[known], place)
+        except DegenerateGeometry:
+            return np.full((len(targets), 2), np.nan)
+        homogeneous = np.column_stack([targets.pixel, np.ones(len(targets))]) @ matrix.T
+        cells = homogeneous[:, :2] / homogeneous[:, 2:]
+        known = np.flatnonzero(np.abs(cells - np.round(cells)).max(1) < 0.25)
+        if len(known) < 4:
+            break
+        place = np.round(cells[known])
+    return cells
+
+
+def _on_grid(cells: np.ndarray) -> int:
+    """How many cells of the grid one target alone lies on."""
+    near = cells[np.abs(cells - np.round(cells)).max(1) < 0.25]
+    near = np.round(near[((near > -0.5) & (near < 9.5)).all(1)]).astype(int)
+    _, counts = np.unique(near, axis=0, return_counts=True)
+    return int((counts == 1).sum())
 
 
 def code_sectors(image: np.ndarray, targets: Targets, rays: int = 360) -> np.ndarray:
