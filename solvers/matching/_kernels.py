@@ -282,7 +282,7 @@ def _texture(normal, variance, slope_energy, count, gain, limit):
     mean, half_gap = 0.5 * (a + c), math.hypot(0.5 * (a - c), b)
     least, most = mean - half_gap, mean + half_gap
     need = 2.0 * variance * gain / (limit * limit)
-    need = max(need, 0.5 * bias)  # noise alone scatters by a fifth of its share
+    need = max(need, 1.5 * bias)  # where noise has as much slope as texture, least squares follows the noise
     if not most > need or not most > 1e-12 * count:
         return NO_TEXTURE
     if not least > need or least < 1e-4 * most:
@@ -567,7 +567,7 @@ def _normalize(patch, side, span, norm, out):
 
 @helper
 def _vertex(scores, y, x):
-    """Offset (dx, dy) of the top of the 2-D quadratic through 3x3 scores, within half a pixel."""
+    """Offset (dx, dy) of the top of the 2-D quadratic through 3x3 scores, within half a pixel, and its least curvature."""
     gx, gy, hxx, hyy = 0.0, 0.0, 0.0, 0.0
     for j in range(-1, 2):
         for i in range(-1, 2):
@@ -579,9 +579,10 @@ def _vertex(scores, y, x):
     hxy = (scores[y + 1, x + 1] + scores[y - 1, x - 1] - scores[y + 1, x - 1] - scores[y - 1, x + 1]) / 4
     det = hxx * hyy - hxy * hxy
     if not (det > 0 and hxx < 0):
-        return 0.0, 0.0
+        return 0.0, 0.0, 0.0
+    least = -0.5 * (hxx + hyy) - math.hypot(0.5 * (hxx - hyy), hxy)
     dx, dy = -(hyy * gx - hxy * gy) / det, -(hxx * gy - hxy * gx) / det
-    return min(max(dx, -0.5), 0.5), min(max(dy, -0.5), 0.5)
+    return min(max(dx, -0.5), 0.5), min(max(dy, -0.5), 0.5), least
 
 
 @helper
@@ -626,7 +627,8 @@ def correlate_batch(template, target, at, start, shape, half, search, threshold,
     """Normalized cross-correlation of many warped templates around their starts.
 
     Rivals are the other peaks above this fraction of the best, or within this gap of it in Fisher's z.
-    out (N, 5 + 3 RIVALS): col, row, score, status, number of rivals, then col, row, score of the best of them.
+    out (N, 6 + 3 RIVALS): col, row, score, status, number of rivals, then col, row, score of the best of them; the least
+    curvature of the peak, per px^2.
     """
     side = 2 * half + 1
     span = 2 * search + 1
@@ -705,7 +707,7 @@ def correlate_batch(template, target, at, start, shape, half, search, threshold,
             ring = scores[y - 1, x - 1] + scores[y - 1, x] + scores[y - 1, x + 1] + scores[y, x - 1]
             ring += scores[y, x + 1] + scores[y + 1, x - 1] + scores[y + 1, x] + scores[y + 1, x + 1]
             if math.isfinite(ring):
-                dx, dy = _vertex(scores, y, x)
+                dx, dy, result[5 + 3 * RIVALS] = _vertex(scores, y, x)
                 if scores[y, x] >= threshold:
                     result[3] = OK
         result[0], result[1] = left + half + x + dx, top + half + y + dy

@@ -12,6 +12,21 @@ from .result import NccResult, Status
 RIVAL = 0.75
 """Peaks above this part of the best score are rivals."""
 
+VAGUE = 0.25
+"""px, standard deviation of a peak beyond which its place is not believed: noise then moves it by a pixel and more."""
+
+
+def peak_sigma(score: np.ndarray, curvature: np.ndarray, independent: float) -> np.ndarray:
+    """(N,) px, standard deviation along the flattest direction of a correlation's peak, of its score, least curvature (1/px^2)
+    and number of independent values: sqrt((1 - score^2) / (score curvature independent)); inf where the peak is flat.
+
+    The slope of the correlation scatters by sqrt((1 - score^2) curvature / (score independent)) about its top; on the safe side,
+    about twice the scatter, for smoothed noise counts as independent only once every few pixels.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        variance = (1 - np.clip(score, 0, 1) ** 2) / (np.clip(score, 0, 1) * np.maximum(curvature, 0) * independent)
+    return np.where(np.isfinite(variance), np.sqrt(variance), np.inf)
+
 
 def match_ncc(template_image: np.ndarray | Photo, target_image: np.ndarray | Photo, at: np.ndarray, start: np.ndarray,
               window: int = 21, search: int = 12, threshold: float = 0.5, *, shape: np.ndarray | None = None,
@@ -40,7 +55,7 @@ def match_ncc(template_image: np.ndarray | Photo, target_image: np.ndarray | Pho
     compiled = kernels("solvers.matching._kernels", "image matching")
     peaks = compiled.RIVALS
     gap = 2 * np.sqrt(2 / (window**2 * smoothing(target.smooth).value))  # two sigmas of Fisher's z, independent values only
-    out = np.full((len(at), 5 + 3 * peaks), np.nan)
+    out = np.full((len(at), 6 + 3 * peaks), np.nan)
 
     def kernel(part: slice) -> None:
         compiled.correlate_batch(template.coefficients, target.coefficients, at[part] - corner, start[part] - origin,
@@ -48,10 +63,12 @@ def match_ncc(template_image: np.ndarray | Photo, target_image: np.ndarray | Pho
 
     batch.spread(kernel, len(at), workers)
     status, score = out[:, 3].astype(int), out[:, 2]
-    rivals = out[:, 5:].reshape(-1, peaks, 3)
+    rivals = out[:, 5:-1].reshape(-1, peaks, 3)
     second = np.where(np.isfinite(rivals[:, 0, 2]), rivals[:, 0, 2], -1.0)
     apart = np.arctanh(np.clip(score, -1, 1 - 1e-9)) - np.arctanh(np.clip(second, -1 + 1e-9, 1 - 1e-9))
     same = (second > uniqueness * score) | (apart < gap)
     status[(status == Status.OK) & same & (uniqueness <= 1)] = Status.NOT_UNIQUE
+    vague = peak_sigma(score, out[:, -1], window**2 * smoothing(target.smooth).value) > VAGUE
+    status[(status == Status.OK) & vague & (uniqueness <= 1)] = Status.UNCERTAIN
     pixel = np.where((status == Status.OK)[:, None], out[:, :2] + origin, np.nan)
     return NccResult(pixel, score, out[:, 4].astype(int), rivals[:, :, :2] + origin, rivals[:, :, 2], status)

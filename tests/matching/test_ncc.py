@@ -2,9 +2,12 @@
 
 import cv2
 import numpy as np
+import pytest
 from scipy.ndimage import gaussian_filter
 
-from solvers.matching import Status, match_ncc
+from solvers.matching import Status, match_lsm, match_ncc
+from solvers.matching.ncc import peak_sigma
+from solvers.matching.patches import smoothing
 
 
 def scene(seed: int, size: int = 200) -> np.ndarray:
@@ -55,3 +58,31 @@ def test_a_template_is_warped_by_the_predicted_affine():
     r = match_ncc(left, turned, at, truth + np.array([3, -2]), shape=np.array([[0.0, 1.0], [-1.0, 0.0]]))
     assert r.ok.all() and np.abs(r.pixel - truth).max() < 0.03
     assert r.score.min() > 0.999
+
+
+@pytest.mark.parametrize(("window", "blur", "texture"), [(21, 3.0, 2.0), (21, 6.0, 6.0), (31, 6.0, 3.0), (15, 6.0, 6.0)])
+def test_texture_below_its_noise_gives_no_confident_wrong_place(window: int, blur: float, texture: float):
+    rng = np.random.default_rng(window + int(blur))
+    clean = gaussian_filter(rng.normal(size=(500, 500)), blur)
+    clean = 120 + texture * clean / clean.std()
+    left, right = (np.round(v + rng.normal(0, 3, v.shape)).astype(np.uint8) for v in (clean, np.roll(clean, (3, -5), (0, 1))))
+    at = rng.uniform(60, 440, (600, 2))
+    for found in (match_ncc(left, right, at, np.round(at), window), match_lsm(left, right, at, np.round(at), window, search=12)):
+        off = np.linalg.norm(found.pixel - at - [-5, 3], axis=1)
+        assert (found.ok & (off > 1.5)).mean() < 0.005
+
+
+def test_the_standard_deviation_of_a_peak_is_that_of_its_scatter_or_up_to_thrice():
+    rng = np.random.default_rng(8)
+    clean, at = scene(9).astype(float), np.array([[100.0, 100.0]])
+    places = []
+    for _ in range(150):
+        left, right = (v + rng.normal(0, 12, v.shape) for v in (clean, clean))
+        places.append(match_ncc(left, right, at, at, search=3).pixel[0])
+    values = gaussian_filter(clean, 0.6)[90:111, 90:111]
+    gy, gx = np.gradient(values)
+    least = np.linalg.eigvalsh(np.cov(gx.ravel(), gy.ravel()) / values.var())[0]  # curvature of the noise-free correlation
+    score = values.var() / (values.var() + smoothing(0.6).value ** 0.5 * 144)
+    predicted = peak_sigma(np.array([score]), score * np.array([least]), 21**2 * smoothing(0.6).value)[0]
+    worst = np.sqrt(np.linalg.eigvalsh(np.cov(np.array(places).T))[-1])
+    assert 0.8 < predicted / worst < 3.0  # on the safe side
