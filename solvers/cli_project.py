@@ -60,6 +60,13 @@ def add(commands: Any) -> None:
     log.add_argument("project", metavar="PROJECT|RUN")
     log.add_argument("--no-browser", action="store_true", help="only print the address")
 
+    export = add_command(commands, "export", _export, "an offline replay, a recording, tables or the project as files")
+    export.add_argument("project", metavar="PROJECT")
+    export.add_argument("--html", metavar="FILE", help="one page that plays the adjustment, without a server or network")
+    export.add_argument("--rrd", metavar="FILE", help="recording for rerun's viewer")
+    export.add_argument("--csv", metavar="FOLDER", help="points, images and orientations as tables")
+    export.add_argument("--zip", metavar="FILE", help="the project folder, photos included, without what is derived")
+
 
 def _demo(args: argparse.Namespace) -> int:
     from .io import demo_copy
@@ -140,6 +147,21 @@ def _log(args: argparse.Namespace) -> int:
     emit(args, {"recording": str(recording)}, "")
     with contextlib.suppress(KeyboardInterrupt):  # Ctrl+C is how a person ends it
         open_log(recording, open_browser=not args.no_browser)
+    return 0
+
+
+def _export(args: argparse.Namespace) -> int:
+    from viewer_app.share import export
+
+    from .errors import BadProject
+    from .io import read_project
+
+    wishes = {kind: Path(getattr(args, kind)) for kind in ("html", "rrd", "csv", "zip") if getattr(args, kind)}
+    if not wishes:
+        raise BadProject("nothing to export; say what: --html FILE, --rrd FILE, --csv FOLDER or --zip FILE")
+    read_project(args.project)  # says what is wrong with the folder before anything is written
+    files = [str(path) for path in export(Path(args.project), wishes)]
+    emit(args, {"project": str(args.project), "files": files}, "\n".join(files))
     return 0
 
 

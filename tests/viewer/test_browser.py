@@ -425,6 +425,7 @@ def test_a_rectangle_on_the_photo_chooses_control_and_all_solutions_stand_beside
     at = {block.points.names[of.point[r]]: of.pixel[r] for r in block.seen_in(image, ("control",))}
     tolerance = camera.width / 100
     left, near = ({n for n, p in at.items() if p[0] < edge + d} for d in (-tolerance, tolerance))
+    picture.hover(position={"x": 20, "y": 20})  # waits until it lies still
     v.page.mouse.move(*photo_place(app, v, 20, 20))
     v.page.mouse.down()
     for x in (0.2 * camera.width, edge):

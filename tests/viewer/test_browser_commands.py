@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import shutil
+import zipfile
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 import viser
+from PIL import Image
 
 from tests.browser import ViserPage
 from tests.viewer.sessions import DEMO, HEAVY, Session, camera_path, demo_session, has_pose, settle
@@ -125,6 +129,29 @@ def test_leaving_and_coming_back_loses_nothing(session: Session) -> None:
     v.dismiss_notifications()
     v.hotkey("Control+z")
     app.emit(Step("last"))
+
+
+def downloaded(v: ViserPage, button: str, name: str) -> bytes:
+    v.open_tab("Export")
+    v.click_button(button)
+    link = v.page.locator(f"a[download$='.{name}']")
+    link.wait_for(timeout=90_000)
+    with v.page.expect_download() as download:
+        link.click()
+    v.dismiss_notifications()
+    return Path(download.value.path()).read_bytes()
+
+
+def test_the_scene_is_a_picture_in_4k(session: Session) -> None:
+    _, v = session
+    with Image.open(io.BytesIO(downloaded(v, "Picture as PNG", "png"))) as picture:
+        assert picture.size == (3840, 2160) and len(picture.convert("RGB").resize((96, 54)).getcolors(10_000) or ()) > 20
+
+
+def test_tables_and_project_are_handed_over(session: Session) -> None:
+    _, v = session
+    with zipfile.ZipFile(io.BytesIO(downloaded(v, "Tables as CSV", "tables.zip"))) as tables:
+        assert set(tables.namelist()) == {"points.csv", "images.csv", "orientations.csv"}
 
 
 @contextlib.contextmanager
