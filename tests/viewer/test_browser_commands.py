@@ -62,7 +62,9 @@ def test_every_control_has_a_label_and_a_hint_and_every_number_a_unit(session: S
         assert props.label.strip() and props.hint and len(props.hint) > 10, props.label
         if isinstance(handle, viser.GuiSliderHandle | viser.GuiNumberHandle):
             said = f"{props.label} {props.hint}"
-            assert any(u in said for u in ("×", "m", "px", "°", "row", "%", "second", "image")), props.label
+            assert any(u in said for u in ("×", "m", "px", "pixel", "°", "row", "%", "second", "correlation", "no unit")), (
+                props.label
+            )
     assert seen > 40
 
 
@@ -170,9 +172,7 @@ def another_page(v: ViserPage, port: int) -> Iterator[ViserPage]:
         v.page.bring_to_front()
 
 
-def test_a_restart_reconnects_and_restores_the_state(
-    session: Session, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_a_restart_reconnects_and_restores_the_state(session: Session, tmp_path_factory: pytest.TempPathFactory) -> None:
     folder = tmp_path_factory.mktemp("restart") / "demo"
     shutil.copytree(DEMO, folder, ignore=shutil.ignore_patterns("runs"))
     first = App(folder)
