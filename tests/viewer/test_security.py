@@ -56,7 +56,7 @@ def speak(app: App, messages: Sequence[dict[str, Any] | bytes]) -> None:
                             await ws.send(message if isinstance(message, bytes) else msgspec.msgpack.encode(message))
                         del todo[:100]
                         await asyncio.sleep(0)
-                    for _ in range(500):
+                    for _ in range(3000):
                         if mark.value == last:
                             return
                         await asyncio.sleep(0.02)

@@ -139,7 +139,7 @@ def _point_cells(row: Row, columns: tuple[Column, ...], wire: Wire) -> str:
     for column in columns[5:11]:
         value, sigma = v[column.key], column.key.startswith("s")
         text = "" if math.isnan(value) else f"{value:.6g}" if sigma else f"{value:.3f}"
-        focus, width = f"points/{column.key}/{name}", 44 if sigma else 78
+        focus, width = f"points/{column.key}/{name}", 44 if sigma else 84
         cells.append(_td(wire.field("edit", [name, column.key], text, f"{name} {column.key} in metres", focus, width)))
     return "".join(cells) + _td(esc(v["group"]), True)
 
