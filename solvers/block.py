@@ -30,12 +30,41 @@ class Prior:
 
 @dataclass(frozen=True)
 class Image:
-    """One photo: its name, its camera's name, its file (None when there are measurements only) and its prior."""
+    """One photo: its name, its camera's name, its file (None when there are measurements only), its prior and its strip."""
 
     name: str
     camera: str
     file: str | None = None
     prior: Prior | None = None
+    strip: str = ""
+
+
+@dataclass(frozen=True)
+class ScaleBar:
+    """A measured distance [m] between two points, with its standard error."""
+
+    first: str
+    second: str
+    length: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class Together:
+    """Control points whose coordinates are known together: covariance (3 k, 3 k) m^2 of X1, Y1, Z1, X2 ..."""
+
+    points: tuple[str, ...]
+    covariance: np.ndarray
+
+
+@dataclass(frozen=True)
+class Gps:
+    """How priors are to be read. lever_arm: from the antenna to the camera in body axes (forward, right, down) [m], the photo's
+    top forward. shift: unknown offsets that positions share, of the "block" or of every "strip"; shift_sigma [m] of each."""
+
+    lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    shift: str = "none"
+    shift_sigma: float = 10.0
 
 
 @dataclass(frozen=True)
@@ -79,6 +108,9 @@ class Block:
     control_m: tuple[float, float, float] = (0.02, 0.02, 0.04)
     frame: str = "tangent"  # "grid" takes map coordinates as Cartesian, to repeat a published grid solution
     surface: Mapping[str, Any] = field(default_factory=dict)
+    scale_bars: tuple[ScaleBar, ...] = ()
+    together: tuple[Together, ...] = ()
+    gps: Gps = Gps()
 
     def image_index(self, name: str) -> int:
         """Position of an image. Raises BadProject naming those there are."""

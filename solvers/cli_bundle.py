@@ -37,6 +37,7 @@ def _options(command: Parser, free: str = "none") -> None:
                               "covariance; takes datum both, or prior where the project has no control")
     command.add_argument("--free", type=_free, default=free, metavar="none|all|c,xp,yp,k1,...",
                          help=f"interior parameters to adjust (default: {free})")
+    command.add_argument("--per-image", action="store_true", help="free them for every image by itself, not for the camera")
     command.add_argument("--start", choices=("auto", "resection", "dlt", "affine", "relative", "prior"), default="auto",
                          help="where the start values come from (default: auto, whatever the project offers)")
     command.add_argument("--robust", action="store_true", help="down-weight blunders and name them")
@@ -53,8 +54,8 @@ def _free(text: str) -> tuple[str, ...]:
 
 def _request(args: argparse.Namespace) -> dict[str, Any]:
     return {"datum": args.datum, "free": _free(args.free) if isinstance(args.free, str) else args.free, "start": args.start,
-            "loss": args.loss if args.robust else None, "images": tuple(args.image) or None, "model": args.model,
-            "transform": args.transform, "corners": args.corners}
+            "per_image": args.per_image, "loss": args.loss if args.robust else None, "images": tuple(args.image) or None,
+            "model": args.model, "transform": args.transform, "corners": args.corners}
 
 
 def _adjust(args: argparse.Namespace) -> int:

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from .adjustment import Options, Trace, iterate
+from .adjustment import Options
 from .block import Block
 from .errors import BadProject, DegenerateGeometry
 from .io import new_run, read_bal, read_corners, read_project, save_trace, write_json
-from .orientation import Adjusted, BundleRequest, CornerControl, with_corners
-from .orientation.bundle import BundleStart, conclude_bundle, prepare_bundle
+from .orientation import Adjusted, BundleRequest, CornerControl, adjust, with_corners
 
 BundleRecorder = Callable[[Path, Block, Adjusted], object]
 """record(path, block, adjusted): writes recording.rrd."""
@@ -85,9 +83,7 @@ def adjust_bal(path: Path | str, **options: Any) -> AdjustedProject:
 def adjust_block(block: Block, engine: Options | None = None, **options: Any) -> Adjusted:
     """Prepare, iterate, conclude. Raises PhotogrammetryError, also where numbers run out of range."""
     try:
-        start: BundleStart = prepare_bundle(block, BundleRequest(**options))
-        start = start if engine is None else replace(start, options=engine)
-        return conclude_bundle(start, Trace(tuple(iterate(start.problem, start.x0, start.options)), start.manifest))
+        return adjust(block, BundleRequest(**options), engine)
     except np.linalg.LinAlgError as error:
         raise DegenerateGeometry(f"{block.name}: the numbers do not fit together ({error}); look for a point, a pixel or a "
                                  "camera value that is wrong by far, or try --robust") from None

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ..block import Block, Image, Observations, Points, Prior
+from ..block import Block, Gps, Image, Observations, Points, Prior, ScaleBar, Together
 from ..cameras import PARAMETERS, Interior
 from ..errors import BadProject, BadTable
 from .files import decode_utf8, read_bytes
@@ -42,6 +42,13 @@ class Section:
         if not isinstance(value, Mapping):
             raise self.error(key, f"{value!r} is not a table; write [{self._full(key)}] with its keys below")
         return Section(self.path, self._full(key), value)
+
+    def tables(self, key: str) -> list[Section]:
+        """The tables of an array [[key]], empty when absent."""
+        value = self.values.get(key, [])
+        if not isinstance(value, list) or not all(isinstance(v, Mapping) for v in value):
+            raise self.error(key, f"this is not a list of tables; write [[{key}]] with its keys below")
+        return [Section(self.path, f"{key} {n + 1}", v) for n, v in enumerate(value)]
 
     def check_keys(self, known: Sequence[str]) -> None:
         """Raises BadProject for a key that looks like a misspelt known one (others are left alone)."""
@@ -94,7 +101,7 @@ class Section:
 def read_description(path: Path) -> tuple[Block, str]:
     """The block of project.toml without its tables, and the pixel origin of observations.csv. Raises BadProject."""
     top = _load(path)
-    top.check_keys(("project", "weights", "surface", "cameras", "images"))
+    top.check_keys(("project", "weights", "surface", "cameras", "images", "gps", "scale_bars", "control_covariance"))
     project, weights, surface = top.sub("project"), top.sub("weights"), top.sub("surface")
     project.check_keys(("name", "crs", "pixel_origin", "frame"))
     weights.check_keys(("image_px", "control_m"))
@@ -112,6 +119,9 @@ def read_description(path: Path) -> tuple[Block, str]:
         control_m=_three(weights.vector("control_m", 3, (0.02, 0.02, 0.04), lowest=0,
                                         expected="sX, sY, sZ in metres, not negative")),
         surface=_surface(surface),
+        scale_bars=tuple(_bar(s) for s in top.tables("scale_bars")),
+        together=tuple(_together(s) for s in top.tables("control_covariance")),
+        gps=_gps(top.sub("gps")),
     )
     return block, origin
 
@@ -125,6 +135,14 @@ def describe(block: Block, origin: str = "center") -> dict[str, Any]:
     }
     if block.surface:
         out["surface"] = dict(block.surface)
+    if block.gps != Gps():
+        out["gps"] = {"lever_arm_m": [float(v) for v in block.gps.lever_arm], "shift": block.gps.shift,
+                      "shift_sigma_m": float(block.gps.shift_sigma)}
+    if block.scale_bars:
+        out["scale_bars"] = [{"from": b.first, "to": b.second, "length_m": float(b.length), "sigma_m": float(b.sigma)}
+                             for b in block.scale_bars]
+    if block.together:
+        out["control_covariance"] = [{"points": list(t.points), "covariance_m2": t.covariance.tolist()} for t in block.together]
     out["cameras"] = {name: _describe_camera(camera) for name, camera in block.cameras.items()}
     out["images"] = {image.name: _describe_image(image) for image in block.images}
     return out
@@ -186,13 +204,49 @@ def _principal_point(table: Section, interior: Interior, origin: str) -> tuple[f
 
 
 def _image(table: Section, name: str, cameras: Section) -> Image:
-    table.check_keys(("file", "camera", "prior"))
+    table.check_keys(("file", "camera", "prior", "strip"))
     camera = table.text("camera")
     if camera not in cameras.values:
         there = ", ".join(cameras.values) or "none: add [cameras.NAME]"
         raise table.error("camera", f"there is no camera '{camera}'; the cameras are {there}")
     file = table.text("file") if "file" in table.values else None
-    return Image(name, camera, file, _prior(table.sub("prior")) if "prior" in table.values else None)
+    strip = table.text("strip") if "strip" in table.values else ""
+    return Image(name, camera, file, _prior(table.sub("prior")) if "prior" in table.values else None, strip)
+
+
+def _bar(table: Section) -> ScaleBar:
+    table.check_keys(("from", "to", "length_m", "sigma_m"))
+    length = table.number("length_m", above=0, expected="a positive length in metres")
+    sigma = table.number("sigma_m", above=0, expected="a positive standard error in metres")
+    bar = ScaleBar(table.text("from"), table.text("to"), length, sigma)
+    if bar.first == bar.second:
+        raise table.error("to", f"the bar begins and ends in '{bar.first}'; write two points")
+    return bar
+
+
+def _together(table: Section) -> Together:
+    table.check_keys(("points", "covariance_m2"))
+    names, rows = table.values.get("points"), table.values.get("covariance_m2")
+    if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names) or len(set(names)) < len(names):
+        raise table.error("points", "write a list of different point names in double quotes")
+    try:
+        covariance = np.array(rows, float)
+    except (TypeError, ValueError):
+        covariance = np.zeros(0)
+    size = 3 * len(names)
+    if covariance.shape != (size, size) or not np.isfinite(covariance).all() or not np.allclose(covariance, covariance.T):
+        raise table.error("covariance_m2", f"write a symmetric matrix of {size} rows with {size} numbers: X, Y, Z of each point "
+                          "in turn, in square metres")
+    if np.linalg.eigvalsh(covariance)[0] <= 0:
+        raise table.error("covariance_m2", "this is no covariance: a direction has no variance; add the points' own errors")
+    return Together(tuple(names), covariance)
+
+
+def _gps(table: Section) -> Gps:
+    table.check_keys(("lever_arm_m", "shift", "shift_sigma_m"))
+    lever = _three(table.vector("lever_arm_m", 3, (0.0, 0.0, 0.0), expected="forward, right, down in metres"))
+    return Gps(lever, table.text("shift", "none", ("none", "block", "strip")),
+               table.number("shift_sigma_m", 10.0, above=0, expected="a positive number of metres"))
 
 
 def _prior(table: Section) -> Prior:
@@ -231,6 +285,8 @@ def _describe_camera(camera: Interior) -> dict[str, Any]:
 def _describe_image(image: Image) -> dict[str, Any]:
     out: dict[str, Any] = {} if image.file is None else {"file": image.file}
     out["camera"] = image.camera
+    if image.strip:
+        out["strip"] = image.strip
     prior = image.prior
     if prior is None:
         return out

@@ -21,6 +21,7 @@ from .network import Network
 from .orthogonal import OrthogonalBundle, orthogonal
 from .orthogonal_statistics import orthogonal_statistics
 from .problem import DENSE, Bundle
+from .rescue import Screened, exchanged, screen, unit_of
 from .result import Adjusted, described
 from .start import start as begin
 from .statistics import datum_defects, statistics
@@ -34,6 +35,8 @@ FIXED_POINT = Options.gauss_newton(max_iterations=150, step_tolerance=1e-7)
 AIMED = Options.gauss_newton(max_iterations=30, step_tolerance=1e-7)
 FITS = 1.3
 """sigma0 below which a fixed point is not suspected to be a false one."""
+BAD = 5.0
+"""sigma0 from which the control is screened for points that contradict the network."""
 LARGEST = 10 * DENSE
 """Elements of a design matrix beyond which the orthogonal model, which keeps it whole, refuses."""
 
@@ -50,10 +53,65 @@ class BundleStart:
     warnings: tuple[str, ...]
 
 
-def adjust(block: Block, request: BundleRequest | None = None, **options: Any) -> Adjusted:
-    """Bundle adjustment of a block; options as in `BundleRequest`. Raises BadProject, DegenerateGeometry."""
-    start = prepare_bundle(block, request or BundleRequest(**options))
-    return conclude_bundle(start, Trace(tuple(iterate(start.problem, start.x0, start.options)), start.manifest))
+def adjust(block: Block, request: BundleRequest | None = None, engine: Options | None = None, **options: Any) -> Adjusted:
+    """Bundle adjustment of a block; options as in `BundleRequest`; engine: how to iterate, None for what suits it.
+
+    Where it fails or fits badly, the network is oriented by its tie points alone to find what contradicts it; control that made
+    it fail is left out, and said first. Raises BadProject, DegenerateGeometry.
+    """
+    request = request or BundleRequest(**options)
+    if request.model == "orthogonal":
+        return _adjusted(block, request, engine)
+    trouble: DegenerateGeometry | None = None
+    result: Adjusted | None = None
+    try:
+        result = _adjusted(block, request, engine)
+    except DegenerateGeometry as error:
+        trouble = error
+    if result is not None and (result.trace.converged and (result.sigma0 or 0.0) < BAD):
+        return result
+    return _rescued(block, request, engine, result, trouble)
+
+
+def _adjusted(block: Block, request: BundleRequest, engine: Options | None) -> Adjusted:
+    start = prepare_bundle(block, request)
+    rows = iterate(start.problem, start.x0, engine or start.options)
+    result = conclude_bundle(start, Trace(tuple(rows), start.manifest))
+    swapped = exchanged(block, {o.image: o.exterior.centre for o in result.orientations})
+    return replace(result, warnings=(*swapped, *result.warnings)) if swapped else result
+
+
+def _rescued(block: Block, request: BundleRequest, engine: Options | None, result: Adjusted | None,
+             trouble: DegenerateGeometry | None) -> Adjusted:
+    """The better of what there is and of a new beginning from the network alone, with what is wrong said first.
+
+    Raises the first error where that is all there is.
+    """
+    wrong = screen(block, request) if request.datum in ("control", "both") else Screened((), ())
+    failed = result is None or not result.trace.converged
+    again: Adjusted | None = None
+    if request.start == "auto" and (failed or wrong.names):
+        clean = block
+        for name in wrong.names:
+            clean = clean.with_role(name, "check")
+        for start in ("auto", "relative"):
+            try:
+                tried = _adjusted(clean, replace(request, start=start), engine)  # type: ignore[arg-type]
+            except DegenerateGeometry:
+                continue
+            if again is None or not again.trace.converged or tried.cost < again.cost:
+                again = tried
+            if again.trace.converged and (again.sigma0 or 0.0) < BAD:
+                break
+    if again is not None and again.trace.converged and (failed or (result is not None and again.cost < 0.5 * result.cost)):
+        at = {p.name: p.xyz for p in again.points}
+        said = [s + unit_of(block, n, at[n]) if n in at else s for n, s in zip(wrong.names, wrong.said, strict=False)]
+        left = [f"left out of the control: {', '.join(wrong.names)}; correct points.csv"] if wrong.names else []
+        return replace(again, warnings=(*said, *left, *again.warnings))
+    if result is None:
+        assert trouble is not None
+        raise DegenerateGeometry(f"{trouble}{'; ' if wrong.said else ''}{'; '.join(wrong.said)}")
+    return replace(result, warnings=(*wrong.said, *result.warnings))
 
 
 def prepare_bundle(block: Block, request: BundleRequest) -> BundleStart:
@@ -167,9 +225,9 @@ def _inner(data: Given, net: Network, x0: np.ndarray) -> Inner:
     reference = data.approximate[[names[n] for n in net.points]]
     rows = np.flatnonzero(np.isfinite(reference).all(axis=1))
     if len(rows) >= 3 and np.linalg.svd(reference[rows] - reference[rows].mean(axis=0), compute_uv=False)[1] > 1e-9:
-        return Inner(rows, reference[rows])
+        return Inner(rows, reference[rows], bool(len(net.extras.bars)))
     points = net.split(x0)[2]
-    return Inner(np.arange(len(points)), points.copy())
+    return Inner(np.arange(len(points)), points.copy(), bool(len(net.extras.bars)))
 
 
 def _connected(block: Block, net: Network, held: bool) -> None:
@@ -178,7 +236,7 @@ def _connected(block: Block, net: Network, held: bool) -> None:
     from scipy.sparse.csgraph import connected_components
 
     m, n = len(net.images), len(net.points)
-    free = net.point < net.live
+    free = net.point < net.unknown
     graph = csr_matrix((np.ones(int(free.sum())), (net.image[free], m + net.point[free])), shape=(m + n, m + n))
     count, label = connected_components(graph, directed=False)
     parts = [np.flatnonzero(label[:m] == k) for k in range(count) if (label[:m] == k).any()]

@@ -11,7 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from ...adjustment.losses import LOSSES
 from ...adjustment.schur import Pattern, Reduced, Schur
+from ...cameras import project, project_derivatives
+from ...geometry import Exterior
 from .datum import Inner, motions, pins
 from .network import Network
 
@@ -106,7 +109,7 @@ class Compiled:
         net, t = self.network, self.threads
         m, f, live = net.sizes
         photo = np.empty((len(net.image), 2))  # filled by this pass, read by those after it
-        at = (*self._at(x), photo, net.first, net.count, net.which)
+        at = (*self._at(x), photo, net.first, net.count, net.border)
         parts = [np.zeros((t, *shape)) for shape in ((m, 6, 6), (m, 6, f), (f, f), (m, 6), (f,))]
         v, q = np.zeros((live, 6)), np.zeros((live, 3))
         self._each(lambda k, a, b: self._kernels.gather(a, b, live, *at, *(p[k] for p in parts), v, q))
@@ -115,14 +118,75 @@ class Compiled:
         rows, (misclosure, d) = net.prior_arrays[0], priors
         u[rows] += np.swapaxes(d, 1, 2) @ d
         g[rows] += (np.swapaxes(d, 1, 2) @ misclosure[..., None])[..., 0]
+        if net.extras.count:
+            self._extra(x, misclosure, d, (u, b, c, g, h))
         given = net.weight[:live]
         v[:, [0, 2, 5]] += given
         q += np.where(given > 0, given * (net.known - net.split(x)[2])[:live], 0.0)
         if inner:
             first, second, axis = pins(net, x)
             u[first] += np.diag(np.diag(u[first]))
-            u[second, axis, axis] *= 2
+            if not inner.scaled:
+                u[second, axis, axis] *= 2
         return Gathered(at, u, b, c, g, h, v, q)
+
+    def _held(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Observations of the points held in the border: rows (r,), whitened derivatives by the pose (r, 2, 6) and by the whole
+        border (r, 2, f)."""
+        net = self.network
+        rows = np.flatnonzero((net.point >= net.live) & (net.point < net.unknown))
+        poses, _, points = net.split(x)
+        j, border = np.zeros((len(rows), 2, 6)), np.zeros((len(rows), 2, net.sizes[1]))
+        interiors = net.interiors_at(x)
+        for i in np.unique(net.image[rows]):
+            k = np.flatnonzero(net.image[rows] == i)
+            o = rows[k]
+            at = project_derivatives(interiors[net.camera[i]], Exterior.from_vector(poses[i]), points[net.point[o]])
+            v = np.linalg.norm(net.pixels[o] - at.pixels, axis=1) / net.sigma[o]
+            w = (np.sqrt(LOSSES[net.loss](v)) if net.loss else np.ones(len(o))) / net.sigma[o]
+            j[k, :, :3], j[k, :, 3:] = at.centre * w[:, None, None], at.rotation * w[:, None, None]
+            s = slice(net.first[net.camera[i]], net.first[net.camera[i]] + net.count[net.camera[i]])
+            border[k, :, s] = at.interior[:, :, net.which[s]] * w[:, None, None]
+            place = net.point_columns[net.point[o]] - 6 * len(net.images)
+            for c in range(3):
+                border[k, :, place[:, c]] = at.point[:, :, c] * w[:, None]
+        return rows, j, border
+
+    def _extra(self, x: np.ndarray, misclosure: np.ndarray, d: np.ndarray, into: tuple[np.ndarray, ...]) -> None:
+        """Add to the normal equations what the kernels do not see: held points, shifts, bars, common covariances."""
+        net = self.network
+        _, b, c, _, h = into
+        if net.extras.held:
+            rows, j, border = self._held(x)
+            held = border.copy()
+            held[:, :, :len(net.which)] = 0.0  # what belongs to the interior orientation alone is there already
+            np.add.at(b, net.image[rows], np.swapaxes(j, 1, 2) @ held)
+            flat, own = border.reshape(-1, border.shape[2]), held.reshape(-1, border.shape[2])
+            c += flat.T @ flat - (flat - own).T @ (flat - own)
+            h += own.T @ self._residual(x, rows).ravel()
+        for row, i in enumerate(net.prior_arrays[0]):
+            at = net.shift_columns[i]
+            if at is not None:
+                shift = d[row, :, :3]
+                b[i][:, at] += d[row].T @ shift
+                c[np.ix_(at, at)] += shift.T @ shift
+                h[at] += shift.T @ misclosure[row]
+        v, rows = net.border_rows(x)
+        c += rows.T @ rows
+        h += rows.T @ v
+
+    def _residual(self, x: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """(r, 2) weighted residuals of some observations."""
+        net = self.network
+        poses, _, points = net.split(x)
+        interiors, out = net.interiors_at(x), np.empty((len(rows), 2))
+        for i in np.unique(net.image[rows]):
+            k = np.flatnonzero(net.image[rows] == i)
+            o = rows[k]
+            v = net.pixels[o] - project(interiors[net.camera[i]], Exterior.from_vector(poses[i]), points[net.point[o]])
+            t = np.linalg.norm(v, axis=1) / net.sigma[o]
+            out[k] = v * ((np.sqrt(LOSSES[net.loss](t)) if net.loss else np.ones(len(o))) / net.sigma[o])[:, None]
+        return out
 
     def reduce(self, made: Gathered, damping: float) -> Reduced:
         """The points eliminated, all diagonals raised by the damping."""
@@ -168,7 +232,7 @@ class Compiled:
               observations: bool = True) -> tuple[np.ndarray, ...]:
         """Covariances a priori: of every pose (m, 6, 6), all freed interior parameters (f, f) and every unknown point
         (live, 3, 3); with `observations` the standardized residuals (o, 2) and the covariance (o, 2, 2) of what is computed for
-        them, over their own variances.
+        them, over their own variances, and the covariance of every pose with the border (m, 6, f) before any inner constraints.
 
         Raises numpy.linalg.LinAlgError where the network is singular.
         """
@@ -187,32 +251,42 @@ class Compiled:
         if not np.isfinite(points).all():
             raise np.linalg.LinAlgError("a point is not determined by its rays")
         poses = q[self.lut[np.arange(m), np.arange(m)]]
+        if observations and net.extras.held:
+            rows, j, border = self._held(x)
+            i = net.image[rows]
+            t = j @ qb[i] + border @ qc
+            mixed = j @ poses[i] + border @ np.swapaxes(qb[i], 1, 2)
+            computed[rows] = mixed @ np.swapaxes(j, 1, 2) + t @ np.swapaxes(border, 1, 2)
         if inner:
-            poses, points = self._transformed(x, inner, made, reduced, poses, points)
-        return poses, qc, points, residual, computed
+            poses, points, qc = self._transformed(x, inner, made, reduced, poses, points, qc)
+        return poses, qc, points, residual, computed, qb
 
-    def _transformed(self, x: np.ndarray, inner: Inner, made: Gathered, reduced: Reduced, poses: np.ndarray,
-                     points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _transformed(self, x: np.ndarray, inner: Inner, made: Gathered, reduced: Reduced, poses: np.ndarray, points: np.ndarray,
+                     qc: np.ndarray) -> tuple[np.ndarray, ...]:
         """Covariances under the inner constraints from those of the minimal datum (S-transformation)."""
         net = self.network
         m, f, live = net.sizes
         motion = motions(net, x)
         h = inner.rows_of(net, motion)
-        right = np.ascontiguousarray(h[:, 6 * m + f:].reshape(7, live, 3).swapaxes(0, 1))
-        g, b = np.zeros((self.threads, m, 6, 7)), np.zeros((self.threads, f, 7))
+        motion = motion[:, :inner.count]
+        k7 = inner.count
+        right = np.ascontiguousarray(h[:, 6 * m + f:].reshape(k7, live, 3).swapaxes(0, 1))
+        border = h[:, 6 * m:6 * m + f].T
+        g, b = np.zeros((self.threads, m, 6, k7)), np.zeros((self.threads, f, k7))
         self._each(lambda k, a, e: self._kernels.carry(a, e, *made.at, made.V, right, g[k], b[k]), live)
-        images, shared = reduced.solve(g.sum(axis=0).reshape(6 * m, 7), b.sum(axis=0))
+        images, shared = reduced.solve(g.sum(axis=0).reshape(6 * m, k7), b.sum(axis=0) + border)
         objects = self.expand(made, images, shared, right, 0.0)  # (live, 7, 3)
         small = np.linalg.inv(h @ motion)
-        drift = (small @ images.T).reshape(7, m, 6).swapaxes(0, 1)  # (m, 7, 6): what every datum direction shares with a pose
+        drift = (small @ images.T).reshape(k7, m, 6).swapaxes(0, 1)  # (m, 7, 6): what every datum direction shares with a pose
         drifts = small @ objects  # (live, 7, 3)
-        centre = small @ np.einsum("npc,nqc->pq", right, objects) @ small.T
+        centre = small @ (np.einsum("npc,nqc->pq", right, objects) + border.T @ shared) @ small.T
         out = []
-        for covariance, d, way in ((poses, drift, motion[:6 * m].reshape(m, 6, 7)),
-                                   (points, drifts, motion[6 * m + f:].reshape(live, 3, 7))):
+        for covariance, d, way in ((poses, drift, motion[:6 * m].reshape(m, 6, k7)),
+                                   (points, drifts, motion[6 * m + f:].reshape(live, 3, k7)),
+                                   (qc[None], (small @ shared.T)[None], motion[None, 6 * m:6 * m + f])):
             part = way @ d
             out.append(covariance - part - np.swapaxes(part, 1, 2) + way @ centre @ np.swapaxes(way, 1, 2))
-        return out[0], out[1]
+        return out[0], out[1], out[2][0]
 
     def weakest(self, x: np.ndarray, priors: tuple[np.ndarray, np.ndarray], inner: Inner | None, null: float) -> list[np.ndarray]:
         """(u,) null vectors of the scaled normal matrix, by inverse iteration on a slightly damped one; none where

@@ -20,11 +20,12 @@ def motions(network: Network, x: np.ndarray) -> np.ndarray:
     m, f, live = network.sizes
     middle = points.mean(axis=0) if len(points) else np.zeros(3)
     out = np.zeros((6 * m + f + 3 * live, 7))
-    images, objects = out[:6 * m].reshape(m, 6, 7), out[6 * m + f:].reshape(live, 3, 7)
-    for rows, at in ((images[:, :3], poses[:, :3] - middle), (objects, points[:live] - middle)):
+    images, objects = out[:6 * m].reshape(m, 6, 7), np.zeros((network.unknown, 3, 7))
+    for rows, at in ((images[:, :3], poses[:, :3] - middle), (objects, points[:network.unknown] - middle)):
         rows[:, :, :3] = np.eye(3)
         rows[:, :, 3:6] = _turning(at)
         rows[:, :, 6] = at
+    out[network.point_columns[:network.unknown].ravel()] = objects.reshape(-1, 7)
     images[:, 3:, 3:6] = -poses[:, 3:].reshape(m, 3, 3)  # M exp(-w) = exp(-M w) M
     return out
 
@@ -41,23 +42,32 @@ def _turning(at: np.ndarray) -> np.ndarray:
 @dataclass(frozen=True)
 class Inner:
     """Inner constraints: the datum points (rows among the unknown points) keep, as a whole, the place, attitude and scale of
-    their reference coordinates (d, 3) m; the trace of their covariance is the least of all datums."""
+    their reference coordinates (d, 3) m; the trace of their covariance is the least of all datums. scaled: the network knows its
+    scale (from bars), which is left alone."""
 
     rows: np.ndarray
     reference: np.ndarray
+    scaled: bool = False
+
+    @property
+    def count(self) -> int:
+        """Constraints: seven, or six."""
+        return 6 if self.scaled else 7
 
     def rows_of(self, network: Network, g: np.ndarray) -> np.ndarray:
-        """(7, u) constraint matrix H: the motions g (u, 7), datum points only."""
-        m, f, _ = network.sizes
+        """(7 or 6, u) constraint matrix H: the motions g (u, 7), datum points only."""
         h = np.zeros_like(g)
-        index = 6 * m + f + (3 * self.rows[:, None] + np.arange(3)).ravel()
+        index = network.point_columns[self.rows].ravel()
         h[index] = g[index]
-        return h.T
+        return h.T[:self.count]
 
     def restored(self, network: Network, x: np.ndarray) -> np.ndarray:
         """x moved by the similarity that brings the datum points back to their reference, which changes no residual."""
         poses, interiors, points = network.split(x)
         scale, r, t = similarity(points[self.rows], self.reference)
+        if self.scaled:
+            t += (scale - 1) * r @ points[self.rows].mean(axis=0)
+            scale = 1.0
         moved = poses.copy()
         moved[:, :3] = scale * poses[:, :3] @ r.T + t
         moved[:, 3:] = (poses[:, 3:].reshape(-1, 3, 3) @ r.T).reshape(-1, 9)

@@ -7,12 +7,13 @@ from typing import Literal
 
 import numpy as np
 
-from ...block import Block
+from ...block import Block, ScaleBar, Together
 from ...cameras import PARAMETERS, Interior
 from ...errors import BadProject, DegenerateGeometry
 from ...geometry import Exterior, LocalFrame
 from ..resection import PriorOrientation
 from ..single import given_prior
+from .extras import Extras
 from .network import Network
 
 Datum = Literal["control", "prior", "both", "free"]
@@ -29,6 +30,7 @@ class BundleRequest:
     least squares. start: how to begin: "auto" (resection, then over tie points, then priors, then a relative orientation),
     or only "resection", "dlt" or "affine" (the linear models over control), "prior" or "relative", or "given" (the images'
     priors and all coordinates of points as they are). compiled: None lets the size decide.
+    per_image: free parameters of every image by itself, as "camera@image", instead of one set for each camera.
     model: "orthogonal" is Ono & Hattori's, for long focal lengths; its transform is "iterated" (rays made parallel anew in every
     iteration) or "frozen" (kept as the start values make them).
     """
@@ -39,6 +41,7 @@ class BundleRequest:
     start: Begin = "auto"
     images: tuple[str, ...] | None = None
     compiled: bool | None = None
+    per_image: bool = False
     model: Literal["perspective", "orthogonal"] = "perspective"
     transform: Literal["iterated", "frozen"] = "iterated"
 
@@ -144,7 +147,8 @@ def network(data: Given, poses: dict[int, Exterior], xyz: np.ndarray) -> tuple[N
     """The network of the oriented images and of the points with a start xyz (n, 3) that two of them see (one is enough for
     control); its x; and what was left out, in words.
 
-    Images keep their order. Unknown points follow the first images that see them, fixed points come last.
+    Images keep their order. Unknown points follow the first images that see them, then come those held in the border, fixed
+    points come last.
     """
     block, request, warnings = data.block, data.request, []
     images = sorted(poses)
@@ -160,32 +164,87 @@ def network(data: Given, poses: dict[int, Exterior], xyz: np.ndarray) -> tuple[N
     renumber = np.full(len(block.images), -1)
     renumber[images] = np.arange(len(images))
     image, point = renumber[data.image[ok]], data.point[ok]
-    points = _sorted(image, point, fixed, len(block.points))
+    held, bars, together, said = _held(data, use & (rays > 0))
+    warnings += said
+    fixed &= ~held
+    points = _sorted(image, point, fixed * 2 + held, len(block.points))
     place = np.full(len(block.points), -1)
     place[points] = np.arange(len(points))
     order = np.lexsort((image, place[point]))
-    names = list(dict.fromkeys(block.images[i].camera for i in images))
-    free = request.free if isinstance(request.free, dict) else dict.fromkeys(names, request.free)
-    live = int((~fixed[points]).sum())
-    weight = data.weight[points].copy()
-    weight[live:] = 0.0
+    own = {i: f"@{block.images[i].name}" if request.per_image else "" for i in images}
+    lens = {i: block.images[i].camera + own[i] for i in images}
+    names = list(dict.fromkeys(lens.values()))
+    of = {lens[i]: block.images[i].camera for i in images}
+    free = {n: request.free.get(of[n], ()) if isinstance(request.free, dict) else request.free for n in names}
+    live, unknown = int((~fixed & ~held)[points].sum()), int((~fixed[points]).sum())
+    weight = np.minimum(data.weight[points], 1e12)
+    weight[unknown:] = 0.0
+    for t in together:
+        weight[place[[block.point_index(n) for n in t.points]]] = 0.0
     net = Network(
         images=tuple(block.images[i].name for i in images), cameras=tuple(names),
-        interiors=tuple(block.cameras[n] for n in names),
-        camera=np.array([names.index(block.images[i].camera) for i in images]),
+        interiors=tuple(block.cameras[of[n]] for n in names),
+        camera=np.array([names.index(lens[i]) for i in images]),
         points=tuple(block.points.names[j] for j in points),
         image=image[order], point=place[point][order], pixels=np.ascontiguousarray(data.pixels[ok][order]),
         sigma=data.sigma[ok][order],
         free=tuple(tuple(p for p in PARAMETERS if p in free.get(n, ())) for n in names), known=data.known[points], weight=weight,
-        live=live, priors=tuple(data.priors.get(i) for i in images), loss=request.loss)
+        live=live, priors=tuple(data.priors.get(i) for i in images), loss=request.loss,
+        extras=_extras(data, images, place, unknown - live, bars, together))
     start = xyz[points].copy()
-    start[live:] = data.known[points][live:]
+    start[unknown:] = data.known[points][unknown:]
     x = net.pack(np.array([poses[i].vector for i in images]), np.array([c.parameters for c in net.interiors]), start)
     return net, x, warnings
 
 
+def _held(data: Given, use: np.ndarray) -> tuple[np.ndarray, list[ScaleBar], list[Together], list[str]]:
+    """Points that scale bars and common covariances tie together (n,), the bars and covariances in use, and what is not.
+
+    Raises BadProject for a bar or a covariance that names a point there is not.
+    """
+    block, held, said = data.block, np.zeros(len(data.block.points), bool), []
+    bars, together = [], []
+    for bar in block.scale_bars:
+        ends = [block.point_index(bar.first), block.point_index(bar.second)]
+        if use[ends].all():
+            held[ends] = True
+            bars.append(bar)
+        else:
+            said.append(f"the scale bar from '{bar.first}' to '{bar.second}' takes no part: an end is not measured in two images")
+    for t in block.together:
+        rows = [block.point_index(name) for name in t.points]
+        known = np.isfinite(data.known[rows]).all(axis=1) & use[rows]
+        if known.all():
+            held[rows] = True
+            together.append(t)
+        elif known.any():
+            said.append(f"the common covariance of '{t.points[0]}' ... takes no part: not all of its points are measured "
+                        "control; their own sigmas are used")
+    return held, bars, together, said
+
+
+def _extras(data: Given, images: list[int], place: np.ndarray, held: int, bars: list[ScaleBar],
+            together: list[Together]) -> Extras:
+    """Bars, common covariances, shifts and lever arms by the network's own indices."""
+    block, gps = data.block, data.block.gps
+    ends = np.array([[place[block.point_index(b.first)], place[block.point_index(b.second)]] for b in bars], int).reshape(-1, 2)
+    correlated = tuple((place[[block.point_index(n) for n in t.points]], np.linalg.cholesky(np.linalg.inv(t.covariance)).T)
+                       for t in together)
+    names, of, levers = (), None, None
+    if data.priors and gps.shift != "none":
+        strips = [block.images[i].strip if gps.shift == "strip" else "block" for i in images]
+        names = tuple(dict.fromkeys(s for s, i in zip(strips, images, strict=True) if s and i in data.priors))
+        of = np.array([names.index(s) if s in names and i in data.priors else -1 for s, i in zip(strips, images, strict=True)])
+    if data.priors and any(gps.lever_arm):
+        forward, right, down = gps.lever_arm
+        levers = np.tile([-right, -forward, down], (len(images), 1))
+    return Extras(held, ends, np.array([b.length for b in bars]), np.array([b.sigma for b in bars]), correlated, names, of,
+                  gps.shift_sigma, levers)
+
+
 def _sorted(image: np.ndarray, point: np.ndarray, fixed: np.ndarray, n: int) -> np.ndarray:
-    """Points that are seen, by the first and second image that see them, fixed ones last: neighbours in memory share images."""
+    """Points that are seen, by the first and second image that see them, fixed ones last (by
+    their kind `fixed`): neighbours in memory share images."""
     order = np.lexsort((image, point))
     begin = np.searchsorted(point[order], np.arange(n))
     count = np.bincount(point, minlength=n)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from ...cameras import PARAMETERS, Interior
 from ...cameras.distortion import fold
 from ..resection import PriorOrientation
+from .extras import Extras, border_rows
 
 
 @dataclass(frozen=True)
@@ -18,8 +19,8 @@ class Network:
 
     camera (m,): of each image. interiors: as given. free: interior parameters adjusted, for each camera. image, point (o,);
     pixels (o, 2); sigma (o,) px. known (n, 3) m: given coordinates of weighted and fixed points, NaN where free. weight (n, 3)
-    m^-2, 0 where free. live: points below it are unknowns, those from it on are fixed. priors: one for each image, or None.
-    loss: of the image observations, None for least squares.
+    m^-2, 0 where free. live: points below it are unknowns, those from it on are fixed (behind those held in the border, see
+    `Extras`). priors: one for each image, or None. loss: of the image observations, None for least squares.
     """
 
     images: tuple[str, ...]
@@ -37,11 +38,31 @@ class Network:
     live: int
     priors: tuple[PriorOrientation | None, ...]
     loss: str | None = None
+    extras: Extras = field(default_factory=Extras)
 
     @property
     def sizes(self) -> tuple[int, int, int]:
-        """Numbers of images, of freed interior parameters and of unknown points."""
-        return len(self.images), len(self.which), self.live
+        """Numbers of images, of unknowns in the border (freed interior parameters, then `extras`) and of unknown points."""
+        return len(self.images), len(self.which) + self.extras.count, self.live
+
+    @cached_property
+    def border(self) -> np.ndarray:
+        """(f,) `which`, filled up: the kernels leave the rest of the border alone."""
+        return np.concatenate([self.which, np.zeros(self.extras.count, np.int64)])
+
+    @property
+    def unknown(self) -> int:
+        """Points below it are unknown, held ones too."""
+        return self.live + self.extras.held
+
+    @cached_property
+    def point_columns(self) -> np.ndarray:
+        """(n, 3) place of every point in the tangent, -1 where it is fixed."""
+        m, f, live = self.sizes
+        out = np.full((len(self.points), 3), -1)
+        out[:live] = 6 * m + f + np.arange(3 * live).reshape(-1, 3)
+        out[live:self.unknown] = 6 * m + len(self.which) + np.arange(3 * self.extras.held).reshape(-1, 3)
+        return out
 
     @cached_property
     def which(self) -> np.ndarray:
@@ -63,22 +84,51 @@ class Network:
         """(n + 1,) first observation of each point."""
         return np.searchsorted(self.point, np.arange(len(self.points) + 1)).astype(np.int64)
 
+    @cached_property
+    def border_groups(self) -> dict[str, slice]:
+        """Rows of `border_rows` by kind, weighted coordinates of held points aside."""
+        first = int((self.weight[self.live:self.unknown] > 0).sum())
+        counts = {"scale bars": len(self.extras.bars), "control": sum(3 * len(p) for p, _ in self.extras.correlated),
+                  "shifts": 3 * len(self.extras.shifts)}
+        out, at = {}, first
+        for name, n in counts.items():
+            out[name], at = slice(at, at + n), at + n
+        return {name: s for name, s in out.items() if s.stop > s.start}
+
+    @cached_property
+    def shift_columns(self) -> list[np.ndarray | None]:
+        """For each image the three places in the border of its strip's shift, None where it has none."""
+        of, first = self.extras.shift_of, len(self.which) + 3 * self.extras.held
+        if of is None:
+            return [None] * len(self.images)
+        return [None if s < 0 else first + 3 * int(s) + np.arange(3) for s in of]
+
     @property
     def observed(self) -> int:
         """Scalar observations: image coordinates, weighted coordinates of points, priors."""
-        return 2 * len(self.image) + int((self.weight > 0).sum()) + sum(p.count for p in self.priors if p)
+        given = int((self.weight > 0).sum()) + sum(p.count for p in self.priors if p)
+        return 2 * len(self.image) + given + self.extras.observed
 
     # -- x = 12 numbers of every image, ten of every camera, three of every point ------------------------------------------
 
-    def pack(self, poses: np.ndarray, interiors: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """x of poses (m, 12), interior parameters (k, 10) and points (n, 3)."""
-        return np.concatenate([poses.ravel(), interiors.ravel(), points.ravel()])
+    def pack(self, poses: np.ndarray, interiors: np.ndarray, points: np.ndarray, shifts: np.ndarray | None = None) -> np.ndarray:
+        """x of poses (m, 12), interior parameters (k, 10), points (n, 3) and shifts (s, 3), 0 where not given."""
+        tail = np.zeros(3 * len(self.extras.shifts)) if shifts is None else shifts.ravel()
+        return np.concatenate([poses.ravel(), interiors.ravel(), points.ravel(), tail])
 
     def split(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Poses (m, 12), interior parameters (k, 10) and points (n, 3) of x."""
         a = 12 * len(self.images)
         b = a + 10 * len(self.cameras)
-        return x[:a].reshape(-1, 12), x[a:b].reshape(-1, 10), x[b:].reshape(-1, 3)
+        return x[:a].reshape(-1, 12), x[a:b].reshape(-1, 10), x[b:b + 3 * len(self.points)].reshape(-1, 3)
+
+    def shifts_at(self, x: np.ndarray) -> np.ndarray:
+        """(s, 3) shifts of the strips' GPS positions [m]."""
+        return x[len(x) - 3 * len(self.extras.shifts):].reshape(-1, 3)
+
+    def border_rows(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(r,) misclosures and (r, f) derivatives of what touches the border only, in standard deviations."""
+        return border_rows(self.extras, self.split(x)[2], self.known, self.weight, self.shifts_at(x), self.live, len(self.which))
 
     def interiors_at(self, x: np.ndarray) -> tuple[Interior, ...]:
         """Interior orientations of x."""

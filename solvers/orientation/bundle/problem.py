@@ -16,7 +16,7 @@ from ...adjustment import Dense, Linear
 from ...adjustment.losses import COSTS, LOSSES
 from ...adjustment.schur import Schur
 from ...cameras import project, project_derivatives
-from ...geometry import Exterior
+from ...geometry import Exterior, skew
 from ...geometry.rotation import exp_many
 from .compiled import Compiled
 from .datum import Inner, motions
@@ -24,6 +24,9 @@ from .network import Network
 
 DENSE = 2_000_000
 """Elements of a dense design matrix up to which no compiled kernel is needed."""
+
+SLIGHT = 1e-10
+"""Share by which the diagonal of a free network's normal matrix is raised."""
 
 
 @dataclass(frozen=True)
@@ -50,15 +53,17 @@ class Bundle:
     @property
     def dof(self) -> int:
         m, f, live = self.network.sizes
-        return self.network.observed - (6 * m + f + 3 * live) + (7 if self.inner else 0)
+        return self.network.observed - (6 * m + f + 3 * live) + (self.inner.count if self.inner else 0)
 
     def cost(self, x: np.ndarray) -> float:
         net = self.network
         _, interiors, points = net.split(x)
         if (interiors[:, 0] <= 0).any() or not np.isfinite(x).all():
             return float("inf")
-        given = net.weight > 0
-        total = 0.5 * float((net.weight[given] * (net.known - points)[given] ** 2).sum())
+        given = net.weight[:net.live] > 0
+        total = 0.5 * float((net.weight[:net.live][given] * (net.known - points)[:net.live][given] ** 2).sum())
+        if net.extras.count:
+            total += 0.5 * float((net.border_rows(x)[0] ** 2).sum())
         if len(net.prior_arrays[0]):
             total += 0.5 * float((self.prior_rows(x)[0] ** 2).sum())
         if self.compiled:
@@ -72,20 +77,29 @@ class Bundle:
 
     def retract(self, x: np.ndarray, dx: np.ndarray) -> np.ndarray:
         net = self.network
-        m, f, live = net.sizes
+        m, f, _ = net.sizes
         poses, interiors, points = (part.copy() for part in net.split(x))
         step = dx[:6 * m].reshape(m, 6)
         poses[:, :3] += step[:, :3]
         poses[:, 3:] = (exp_many(step[:, 3:]) @ poses[:, 3:].reshape(m, 3, 3)).reshape(m, 9)
-        interiors[np.repeat(np.arange(len(net.cameras)), net.count), net.which] += dx[6 * m:6 * m + f]
-        points[:live] += dx[6 * m + f:].reshape(live, 3)
-        x = net.pack(poses, interiors, points)
+        free = len(net.which)
+        interiors[np.repeat(np.arange(len(net.cameras)), net.count), net.which] += dx[6 * m:6 * m + free]
+        points[:net.unknown] += dx[net.point_columns[:net.unknown]]
+        shifts = net.shifts_at(x) + dx[6 * m + f - 3 * len(net.extras.shifts):6 * m + f].reshape(-1, 3)
+        x = net.pack(poses, interiors, points, shifts)
         return self.inner.restored(net, x) if self.inner else x
 
     def normal(self, x: np.ndarray) -> Dense | Schur:
         if self.compiled:
             return self.compiled.normal(x, self.prior_rows(x), self.inner)
-        return self.linear(x).normal()
+        normal = self.linear(x).normal()
+        if self.inner is None:
+            return normal
+        # The datum is left to the damping, of which nothing is left once `retract` restores the inner one: steps held by a few
+        # datum points would be long, and poorly predicted.
+        n = normal.n.copy()
+        n.flat[::len(n) + 1] *= 1 + SLIGHT
+        return Dense(n, normal.gradient)
 
     # -- the plain path -------------------------------------------------------------------------------------------------
 
@@ -116,9 +130,9 @@ class Bundle:
             j[rows, :, 6 * i:6 * i + 3], j[rows, :, 6 * i + 3:6 * i + 6] = at.centre, at.rotation
             k = slice(net.first[camera], net.first[camera] + net.count[camera])
             j[rows, :, 6 * m + k.start:6 * m + k.stop] = at.interior[:, :, net.which[k]]
-            unknown = of < live
+            unknown = of < net.unknown
             for c in range(3):
-                j[rows[unknown], :, 6 * m + f + 3 * of[unknown] + c] = at.point[unknown, :, c]
+                j[rows[unknown], :, net.point_columns[of[unknown], c]] = at.point[unknown, :, c]
         factor = LOSSES[net.loss](np.linalg.norm(v, axis=1) / net.sigma) if net.loss else np.ones(len(v))
         p = (factor / net.sigma**2)[:, None, None] * np.eye(2)
         more_v, more_j = self._whitened(x, u)
@@ -126,14 +140,15 @@ class Bundle:
         v = np.concatenate([v, more_v])
         h = w = None
         if self.inner:
-            h, w = self.inner.rows_of(net, motions(net, x)), np.zeros(7)
+            h = self.inner.rows_of(net, motions(net, x))
+            w = np.zeros(len(h))
         return Linear(v, np.concatenate([j, more_j]), np.concatenate([p, np.broadcast_to(np.eye(2), (n, 2, 2))]), h, w)
 
     def _whitened(self, x: np.ndarray, u: int) -> tuple[np.ndarray, np.ndarray]:
         """(r, 2) misclosures and (r, 2, u) derivatives of weighted coordinates and priors, in standard deviations."""
         net = self.network
-        m, f, _ = net.sizes
-        n, c = np.nonzero(net.weight > 0)
+        m, f, live = net.sizes
+        n, c = np.nonzero(net.weight[:live] > 0)
         root = np.sqrt(net.weight[n, c])
         v1, j1 = root * (net.known - net.split(x)[2])[n, c], np.zeros((len(n), u))
         j1[np.arange(len(n)), 6 * m + f + 3 * n + c] = root
@@ -141,7 +156,14 @@ class Bundle:
         j2 = np.zeros((len(images), 6, u))
         for row, i in enumerate(images):
             j2[row, :, 6 * i:6 * i + 6] = d[row]
+            if (at := net.shift_columns[i]) is not None:
+                j2[row, :, 6 * m + at] = d[row, :, :3].T
         v, j = np.concatenate([v1, v2.ravel()]), np.concatenate([j1, j2.reshape(-1, u)])
+        if net.extras.count:
+            v3, border = net.border_rows(x)
+            j3 = np.zeros((len(v3), u))
+            j3[:, 6 * m:6 * m + f] = border
+            v, j = np.concatenate([v, v3]), np.concatenate([j, j3])
         if len(v) % 2:
             v, j = np.append(v, 0.0), np.concatenate([j, np.zeros((1, u))])
         return v.reshape(-1, 2), j.reshape(-1, 2, u)
@@ -151,10 +173,22 @@ class Bundle:
         net = self.network
         roots = net.prior_arrays[2]
         poses = net.split(x)[0]
-        given = [(p, Exterior.from_vector(poses[i])) for i, p in enumerate(net.priors) if p is not None]
+        given = [(p, self._antenna(x, i, Exterior.from_vector(poses[i]))) for i, p in enumerate(net.priors) if p is not None]
         v = np.array([p.misclosure(at) for p, at in given]).reshape(-1, 6, 1)
         d = np.array([p.derivatives(at) for p, at in given]).reshape(-1, 6, 6)
+        if net.extras.levers is not None:  # turning the image moves its antenna
+            for row, (i, (_, at)) in enumerate(zip(net.prior_arrays[0], given, strict=True)):
+                d[row, :3, 3:] += d[row, :3, :3] @ at.m.T @ skew(net.extras.levers[i])
         return (roots @ v)[:, :, 0], roots @ d
+
+    def _antenna(self, x: np.ndarray, i: int, at: Exterior) -> Exterior:
+        """An image's orientation with its centre where GPS puts it: at the antenna, shifted with its strip."""
+        extras, centre = self.network.extras, at.centre
+        if extras.levers is not None:
+            centre = centre + at.m.T @ extras.levers[i]
+        if extras.shift_of is not None and extras.shift_of[i] >= 0:
+            centre = centre + self.network.shifts_at(x)[extras.shift_of[i]]
+        return Exterior(at.m, centre)
 
 
 __all__ = ["DENSE", "Bundle", "exp_many"]

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 
 from ...adjustment import Trace
+from ...adjustment.precision import BAARDA_DELTA0
 from ...adjustment.reliability import ChiSquare, chi_square, correlation
 from ...cameras import PARAMETERS, Interior
 from ...geometry import Exterior
@@ -48,7 +49,8 @@ class AdjustedPoint:
 class Adjusted:
     """An adjusted block. interiors: by camera; interior_names and interior_covariance (f, f): of the freed parameters, camera
     after camera; control_rms, check_rms (3,) m: None without such points; groups: sigma0 and redundancy of image observations,
-    control and priors apart; suspects: observations with |w| > 4, the worst first."""
+    control, priors and others apart; suspects: observations with |w| > 4, the worst first; shifts: of the GPS positions of every
+    strip (3,) m, local axes, with covariance (3, 3)."""
 
     orientations: tuple[Orientation, ...]
     interiors: Mapping[str, Interior]
@@ -66,6 +68,7 @@ class Adjusted:
     chi_square: ChiSquare | None
     trace: Trace
     warnings: tuple[str, ...]
+    shifts: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
     @property
     def interior_sigma(self) -> dict[str, dict[str, float]]:
@@ -94,6 +97,8 @@ class Adjusted:
             "reliability": {"groups": {k: {"sigma0": s, "redundancy": r} for k, (s, r) in self.groups.items()},
                             "suspects": list(self.suspects)},
             "chi_square": None if self.chi_square is None else asdict(self.chi_square), "warnings": list(self.warnings),
+            **({"gps_shifts": {name: {"shift_m": v.tolist(), "sigma_m": np.sqrt(np.diag(q)).tolist()}
+                               for name, (v, q) in self.shifts.items()}} if self.shifts else {}),
         }
 
 
@@ -123,8 +128,7 @@ def described(data: Given, problem: Bundle, trace: Trace, stats: Statistics, sai
         interior_names=names, interior_covariance=stats.interior, points=points, sigma0=sigma0, dof=problem.dof,
         rms_px=float(np.sqrt((v**2).sum() / len(v))), cost=trace.last.cost, control_rms=_rms(control), check_rms=_rms(check),
         groups=_groups(problem, x, stats, v), suspects=tuple(suspects), chi_square=chi_square(trace.last.cost, problem.dof),
-        trace=trace,
-        warnings=tuple(warnings))
+        trace=trace, warnings=tuple(warnings), shifts=_shifts(problem, x, stats))
 
 
 def _orientations(data: Given, problem: Bundle, trace: Trace, stats: Statistics, v: np.ndarray,
@@ -140,13 +144,14 @@ def _orientations(data: Given, problem: Bundle, trace: Trace, stats: Statistics,
         local = Exterior.from_vector(poses[i])
         covariance = local.angle_covariance(stats.poses[i])
         sd = np.sqrt(np.diag(stats.poses[i]))
-        nothing = np.full((len(rows), 2), np.inf)
+        r = np.clip(stats.redundancy[rows], 1e-12, 1.0)
+        effect = np.where(np.isfinite(stats.detectable[rows]), BAARDA_DELTA0 * np.sqrt((1 - r) / r), np.inf)
         out.append(Orientation(
             image=name, model=problem.model, exterior=Exterior(local.m, data.frame.to_map(local.centre)), local=local,
             initial=Exterior.from_vector(first[i]), covariance=covariance, sigma0=sigma0, dof=problem.dof,
             points=tuple(net.points[p] for p in net.point[rows]), residuals=v[rows], redundancy=stats.redundancy[rows],
             w=stats.w[rows],
-            detectable=stats.detectable[rows], effect=nothing, condition=float(np.linalg.cond(stats.poses[i] / np.outer(sd, sd))),
+            detectable=stats.detectable[rows], effect=effect, condition=float(np.linalg.cond(stats.poses[i] / np.outer(sd, sd))),
             chi_square=chi, used=stats.factor[rows] >= 0.5, trace=trace, warnings=tuple(undetermined(covariance)),
             rejected=tuple(net.points[p] for p in net.point[rows][stats.factor[rows] < 0.5])))
     return tuple(out)
@@ -164,11 +169,14 @@ def _points(data: Given, problem: Bundle, x: np.ndarray, stats: Statistics) -> t
         off[ok] = local[ok] - data.frame.to_local(given[ok])
     roles = [block.points.role[index[n]] for n in net.points]
     w = np.full_like(local, np.nan)
-    given_sigma = np.sqrt(1 / np.where(net.weight[:net.live] > 0, net.weight[:net.live], np.nan))
+    n = net.unknown
+    given_sigma = np.sqrt(1 / np.where(net.weight[:n] > 0, net.weight[:n], np.nan))
+    for rows, root in net.extras.correlated:
+        given_sigma[rows] = np.sqrt(np.diag(np.linalg.inv(root.T @ root))).reshape(-1, 3)
     free = given_sigma**2 - np.einsum("nii->ni", stats.points)  # variance of the correction
-    w[:net.live] = -off[:net.live] / np.sqrt(np.where(free > 1e-9 * given_sigma**2, free, np.nan))
+    w[:n] = -off[:n] / np.sqrt(np.where(free > 1e-9 * given_sigma**2, free, np.nan))
     covariance = np.zeros((len(local), 3, 3))
-    covariance[:net.live] = stats.points
+    covariance[:n] = stats.points
     return tuple(AdjustedPoint(n, roles[k], xyz[k], covariance[k], off[k], int(rays[k]), w[k]) for k, n in enumerate(net.points))
 
 
@@ -176,15 +184,31 @@ def _groups(problem: Bundle, x: np.ndarray, stats: Statistics, v: np.ndarray) ->
     """sigma0 and redundancy of each kind of observation (the simplest estimate of variance components: Förstner 1979)."""
     net = problem.network
     sums = {"image": (float((stats.factor[:, None] * v**2 / net.sigma[:, None] ** 2).sum()), float(stats.redundancy.sum()))}
-    weight = net.weight[:net.live]
+    weight = net.weight[:net.unknown]
     if (weight > 0).any():
         r = 1 - weight * np.einsum("nii->ni", stats.points)
-        sums["control"] = (float(np.nansum(weight * (net.known - net.split(x)[2])[:net.live] ** 2)), float(r[weight > 0].sum()))
+        off = (net.known - net.split(x)[2])[:net.unknown]
+        sums["control"] = (float(np.nansum(weight * off**2)), float(r[weight > 0].sum()))
+    for name, rows in net.border_groups.items():
+        v, d = (part[rows] for part in net.border_rows(x))
+        before = sums.get(name, (0.0, 0.0))
+        sums[name] = (before[0] + float((v**2).sum()), before[1] + len(v) - float(np.einsum("ri,ij,rj->", d, stats.border, d)))
     images, (misclosure, d) = net.prior_arrays[0], problem.prior_rows(x)
     if len(images):
         held = np.einsum("aij,ajk,aik->", d, stats.poses[images], d)
+        for row, i in enumerate(images):
+            if (at := net.shift_columns[i]) is not None:
+                shift, cross = d[row, :, :3], stats.cross[i][:, at]
+                held += 2 * np.trace(d[row] @ cross @ shift.T) + np.trace(shift @ stats.border[np.ix_(at, at)] @ shift.T)
         sums["prior"] = (float((misclosure**2).sum()), float(sum(p.count for p in net.priors if p) - held))
     return {k: (float(np.sqrt(s / r)) if r > 0.5 else None, r) for k, (s, r) in sums.items()}
+
+
+def _shifts(problem: Bundle, x: np.ndarray, stats: Statistics) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    net = problem.network
+    first, values = len(net.which) + 3 * net.extras.held, net.shifts_at(x)
+    rows = [slice(first + 3 * k, first + 3 * k + 3) for k in range(len(net.extras.shifts))]
+    return {name: (values[k], stats.border[rows[k], rows[k]]) for k, name in enumerate(net.extras.shifts)}
 
 
 def _suspects(problem: Bundle, v: np.ndarray, stats: Statistics, points: tuple[AdjustedPoint, ...]) -> list[dict[str, Any]]:

@@ -61,6 +61,15 @@ def start(data: Given) -> tuple[dict[int, Exterior], np.ndarray, list[str]]:
     return poses, xyz, said
 
 
+def network_alone(data: Given) -> np.ndarray:
+    """(n, 3) points of the network oriented by itself, in a frame of its own, NaN where there are none."""
+    poses = _relative(data, [int(i) for i in np.unique(data.image)])
+    if not poses:
+        raise DegenerateGeometry(f"{data.block.name}: no pair of images shares enough tie points")
+    _grow(data, poses, [int(i) for i in np.unique(data.image)], np.full_like(data.approximate, np.nan))
+    return points(data, poses)
+
+
 def points(data: Given, poses: dict[int, Exterior]) -> np.ndarray:
     """(n, 3) points nearest to the rays of all oriented images, NaN where fewer than two see them or the rays are parallel."""
     out = np.full((len(data.block.points), 3), np.nan)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from ...adjustment.precision import BAARDA_DELTA0
 from ...cameras import PARAMETERS
 from ...errors import DegenerateGeometry
 from .datum import SEVEN, motions
+from .network import Network
 from .problem import Bundle
 
 NULL = 1e-12
@@ -33,6 +35,17 @@ class Statistics:
     detectable: np.ndarray
     factor: np.ndarray
     loose: tuple[int, ...] = ()
+    border: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    cross: np.ndarray = field(default_factory=lambda: np.zeros((0, 6, 0)))
+
+    @classmethod
+    def of(cls, net: Network, poses: np.ndarray, border: np.ndarray, points: np.ndarray, cross: np.ndarray,
+           **judged: Any) -> Statistics:
+        """The border taken apart: interior orientation, and points that were held in it, behind those that were not."""
+        free, held = len(net.which), net.extras.held
+        own = border[free:free + 3 * held, free:free + 3 * held].reshape(held, 3, held, 3)
+        points = np.concatenate([points, own[np.arange(held), :, np.arange(held), :]])
+        return cls(poses, border[:free, :free], points, border=border, cross=cross, **judged)
 
 
 def statistics(problem: Bundle, x: np.ndarray) -> Statistics:
@@ -43,24 +56,26 @@ def statistics(problem: Bundle, x: np.ndarray) -> Statistics:
     factor = _factor(problem, v)
     if problem.compiled:
         try:
-            poses, interior, points, residual, computed = problem.compiled.judge(x, problem.prior_rows(x), problem.inner)
+            poses, border, points, residual, computed, cross = problem.compiled.judge(x, problem.prior_rows(x), problem.inner)
         except np.linalg.LinAlgError:
             raise DegenerateGeometry(undetermined(problem, x)) from None
         redundancy = 1 - np.einsum("oaa->oa", computed)
         checked = redundancy > 1e-9
         root = np.sqrt(np.where(checked, redundancy, 1.0))
         sigma = (net.sigma / np.sqrt(factor))[:, None]
-        return Statistics(poses, interior, points, redundancy, np.where(checked, residual / root, np.nan),
-                          np.where(checked, BAARDA_DELTA0 * sigma / root, np.inf), factor,
-                          tuple(map(int, problem.compiled.loose(x, problem.prior_rows(x), problem.inner))))
+        return Statistics.of(net, poses, border, points, cross, redundancy=redundancy,
+                             w=np.where(checked, residual / root, np.nan),
+                             detectable=np.where(checked, BAARDA_DELTA0 * sigma / root, np.inf), factor=factor,
+                             loose=tuple(map(int, problem.compiled.loose(x, problem.prior_rows(x), problem.inner))))
     if named := defects(problem, x):
         raise DegenerateGeometry(_sentence(named))
     stats, o = precision(problem.linear(x), "the bundle"), len(net.image)
     q = stats.covariance
     poses = q[:6 * m, :6 * m].reshape(m, 6, m, 6)[np.arange(m), :, np.arange(m), :]
     points = q[6 * m + f:, 6 * m + f:].reshape(live, 3, live, 3)[np.arange(live), :, np.arange(live), :]
-    return Statistics(poses, q[6 * m:6 * m + f, 6 * m:6 * m + f], points, stats.redundancy[:o], stats.w[:o],
-                      stats.detectable[:o], factor)
+    cross = q[:6 * m, 6 * m:6 * m + f].reshape(m, 6, f)
+    return Statistics.of(net, poses, q[6 * m:6 * m + f, 6 * m:6 * m + f], points, cross, redundancy=stats.redundancy[:o],
+                         w=stats.w[:o], detectable=stats.detectable[:o], factor=factor)
 
 
 def _factor(problem: Bundle, v: np.ndarray) -> np.ndarray:
@@ -104,17 +119,19 @@ def defects(problem: Bundle, x: np.ndarray) -> list[str]:
 def datum_defects(problem: Bundle, x: np.ndarray) -> list[str]:
     """Which of the seven motions of the world neither control nor priors forbid."""
     net = problem.network
-    m, f, live = net.sizes
+    m, f, _ = net.sizes
     g = motions(net, x)
     points = net.split(x)[2]
     size = np.r_[1, 1, 1, np.full(4, max(float(np.ptp(points, axis=0).max(initial=0.0)) / 2, 1e-9))]  # metres at the rim
     g = g / size
     rows, (_, d) = net.prior_arrays[0], problem.prior_rows(x)
     parts = [(d @ g[:6 * m].reshape(m, 6, 7)[rows]).reshape(-1, 7)]
-    weight = np.sqrt(net.weight[:live])[:, :, None]
-    parts.append((weight * g[6 * m + f:].reshape(live, 3, 7)).reshape(-1, 7))
-    if live < len(points):
-        at = points[live:] - points.mean(axis=0)
+    weight = np.sqrt(net.weight[:net.unknown])[:, :, None]
+    parts.append((weight * g[net.point_columns[:net.unknown]]).reshape(-1, 7))
+    if net.extras.count:
+        parts.append(net.border_rows(x)[1] @ g[6 * m:6 * m + f])
+    if net.unknown < len(points):
+        at = points[net.unknown:] - points.mean(axis=0)
         held = np.zeros((len(at), 3, 7))
         held[:, :, :3] = np.eye(3)
         held[:, 0, 4], held[:, 0, 5] = at[:, 2], -at[:, 1]
@@ -152,8 +169,12 @@ def _named(problem: Bundle, vector: np.ndarray) -> str:
             break
         if k < 6 * m:
             text = f"{ELEMENTS[k % 6]} of image '{net.images[k // 6]}'"
-        elif k < 6 * m + f:
+        elif k < 6 * m + len(names):
             text = names[k - 6 * m]
+        elif k < 6 * m + len(names) + 3 * net.extras.held:
+            text = f"point '{net.points[net.live + (k - 6 * m - len(names)) // 3]}'"
+        elif k < 6 * m + f:
+            text = f"shift of strip '{net.extras.shifts[(k - 6 * m - len(names) - 3 * net.extras.held) // 3]}'"
         else:
             text = f"point '{net.points[(k - 6 * m - f) // 3]}'"
         if text not in said:

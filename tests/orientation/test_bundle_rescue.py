@@ -1,0 +1,60 @@
+"""Wrong data of a block is found and named, and does not stop the rest."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from solvers import Block
+from solvers.orientation import adjust
+from solvers.simulation import uav_block
+
+BLOCK = uav_block(1, strips=2, images=3, ties=60, control=6, checks=3, fine=False).block
+
+
+def given(change) -> Block:
+    xyz = BLOCK.points.xyz.copy()
+    change(xyz)
+    return replace(BLOCK, points=replace(BLOCK.points, xyz=xyz))
+
+
+def feet(xyz: np.ndarray) -> None:
+    xyz[2] /= 0.3048
+
+
+def height_in_feet(xyz: np.ndarray) -> None:
+    xyz[2, 2] /= 0.3048
+
+
+def exchanged(xyz: np.ndarray) -> None:
+    xyz[[0, 3]] = xyz[[3, 0]]
+
+
+def five_metres(xyz: np.ndarray) -> None:
+    xyz[0, 0] += 5
+
+
+@pytest.mark.parametrize(("change", "said"), [
+    (feet, "'G0003' does not fit the others by .*its X, Y, Z look given in feet"),
+    (height_in_feet, "'G0003' does not fit the others by .*its Z look given in feet"),
+    (exchanged, "control points 'G0001' and 'G0004' look exchanged"), (five_metres, "'G0001' does not fit the others by 4.9")])
+def test_wrong_control_is_named_and_left_out(change, said: str) -> None:
+    import re
+
+    got = adjust(given(change))
+    assert got.trace.converged and got.sigma0 is not None and got.sigma0 < 1.3
+    assert re.search(said, got.warnings[0]) and any("left out of the control" in w for w in got.warnings)
+    assert got.check_rms is not None
+
+
+def test_photos_exchanged_are_named() -> None:
+    of = BLOCK.observations
+    image = of.image.copy()
+    image[of.image == 1], image[of.image == 4] = 4, 1
+    got = adjust(replace(BLOCK, observations=replace(of, image=image)))
+    assert got.trace.converged and got.sigma0 is not None and got.sigma0 < 1.3
+    assert got.warnings[0].startswith("images 'S1_02' and 'S2_02' look exchanged")
+
+
+def test_good_data_is_left_alone() -> None:
+    assert not any("does not fit" in w or "exchanged" in w for w in adjust(BLOCK).warnings)
