@@ -50,7 +50,7 @@ def screen(block: Block, request: BundleRequest) -> Screened:
     if not len(bad) or len(bad) > len(rows) - 4:
         return Screened((), ())
     labels = [block.points.names[j] for j in rows]
-    said = [_described(k, labels, moved, target, off, bad) for k in bad]
+    said = [_described(int(k), labels, moved, target, off, bad) for k in bad]
     return Screened(tuple(labels[k] for k in bad), tuple(dict.fromkeys(said)))
 
 
