@@ -92,7 +92,7 @@ def test_truth_is_recovered_to_round_off() -> None:
     block, sim = flown(4, noise=0.0)
     block = together(barred(block, sim.xyz, [("G0001", "T0013")], 0.01), sim.xyz, ("G0002", "G0003"), 0.1, 0.02)
     got = adjust(block, datum="both")
-    assert got.cost == pytest.approx(0.5 * sum((s**2).sum() for s in SHIFTS.values()) / 20**2, rel=1e-3)  # the shifts' own
+    assert got.cost == pytest.approx(0.5 * sum((s**2).sum() for s in SHIFTS.values()) / 20**2, rel=1e-2)  # the shifts' own
     for name, shift in SHIFTS.items():
         np.testing.assert_allclose(got.shifts[name][0], shift, atol=2e-4)
     for o in got.orientations:
