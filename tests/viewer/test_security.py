@@ -92,6 +92,7 @@ def test_a_control_takes_only_what_it_offers(app: App) -> None:
     speak(app, wrong)
     assert [h.value for h in (speed, image, rays)] == before[:-1] and names.value.startswith("taken")
     speak(app, [update(speed, value=3.5), update(image, value="right")])
+    app._actions.join()  # between the two the page is painted with the old image
     assert speed.value == 3.5 and image.value == "right"
 
 
