@@ -13,12 +13,28 @@ from typing import Any
 import numba
 import numpy as np
 
+from ...adjustment._kernels import (
+    add_outer,
+    add_product,
+    add_ten,
+    add_three,
+    add_two,
+    dot_six,
+    dot_ten,
+    set_six,
+    set_ten,
+    set_two,
+    subtract_product,
+)
+
 njit: Any = numba.njit  # its type stubs do not know every option
 FAST = {"reassoc", "contract", "nsz", "arcp"}  # no nnan, no ninf: NaN checks stay alive
 _COMMON: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": FAST, "no_cfunc_wrapper": True}
 kernel = njit(**_COMMON)
 plain = njit(**{**_COMMON, "fastmath": False})  # long and used once: quicker to compile
-part = njit(no_cpython_wrapper=True, _nrt=False, **_COMMON)  # allocates nothing: no references are counted
+_PART: dict[str, Any] = {"no_cpython_wrapper": True, "_nrt": False, **_COMMON}  # allocates nothing: no references are counted
+part = njit(**_PART)
+inner = njit(forceinline=True, **_PART)  # a call would hand over some hundred numbers
 
 
 @part
@@ -80,105 +96,6 @@ def bend(k, u, v):
 
 
 @part
-def see(poses, i, cameras, c, points, p, pixel, o, scale, r, J, interior, photo, found):
-    """Weighted residual r (2,), observed minus projected, and derivatives of the projection J (2, 19): centre, rotation, point
-    and, where asked for, the ten interior parameters. False where the point cannot be seen. photo (o, 2): where the point is
-    in the photo, reduced [mm], kept by the first pass and read by those after it (found)."""
-    k = cameras[c]
-    weight = scale[o]
-    ex = points[p, 0] - poses[i, 0]
-    ey = points[p, 1] - poses[i, 1]
-    ez = points[p, 2] - poses[i, 2]
-    u = poses[i, 3] * ex + poses[i, 4] * ey + poses[i, 5] * ez
-    v = poses[i, 6] * ex + poses[i, 7] * ey + poses[i, 8] * ez
-    w = poses[i, 9] * ex + poses[i, 10] * ey + poses[i, 11] * ez
-    if not (w < 0.0 or (k[15] > 2.5 and w > 0.0)):
-        return False
-    s = -1.0 / w
-    q = k[0] * s
-    xi = u * q
-    yi = v * q
-    sx = k[10] * weight
-    sy = -k[11] * weight
-    forward = k[15] > 1.5
-    if forward:
-        x, y, b00, b01, b10, b11 = bend(k, u * s, v * s)
-        b00 *= sx
-        b01 *= sx
-        b10 *= sy
-        b11 *= sy
-    elif k[15] != 0.0:
-        if found:
-            x = photo[o, 0]
-            y = photo[o, 1]
-        else:
-            x = (pixel[o, 0] - k[12]) / k[10] - k[1]
-            y = -(pixel[o, 1] - k[13]) / k[11] - k[2]
-        bad, x, y, b00, b01, b10, b11 = invert(k, xi, yi, x, y, found)
-        photo[o, 0] = x
-        photo[o, 1] = y
-        if bad:
-            return False
-        b00 *= sx
-        b01 *= sx
-        b10 *= sy
-        b11 *= sy
-    else:
-        x = xi
-        y = yi
-        b00 = sx
-        b01 = 0.0
-        b10 = 0.0
-        b11 = sy
-    r[0] = (pixel[o, 0] - k[12]) * weight - (x + k[1]) * sx
-    r[1] = (pixel[o, 1] - k[13]) * weight - (y + k[2]) * sy
-    for e in range(2):
-        f0 = b00 if e == 0 else b10
-        f1 = b01 if e == 0 else b11
-        a0 = f0 * q
-        a1 = f1 * q
-        a2 = (f0 * xi + f1 * yi) * s
-        for j in range(3):
-            d = a0 * poses[i, 3 + j] + a1 * poses[i, 6 + j] + a2 * poses[i, 9 + j]
-            J[e, j] = -d
-            J[e, 6 + j] = d
-        J[e, 3] = v * a2 - w * a1
-        J[e, 4] = w * a0 - u * a2
-        J[e, 5] = u * a1 - v * a0
-        if interior and forward:
-            d = sx if e == 0 else sy
-            m = u * s
-            n = v * s
-            r2 = m * m + n * n
-            J[e, 9] = d * (x if e == 0 else y) / k[0]
-            J[e, 10] = sx if e == 0 else 0.0
-            J[e, 11] = 0.0 if e == 0 else sy
-            d *= k[0]
-            J[e, 12] = d * (m if e == 0 else n) * r2
-            J[e, 13] = J[e, 12] * r2
-            J[e, 14] = J[e, 13] * r2
-            J[e, 15] = d * ((r2 + 2.0 * m * m) if e == 0 else 2.0 * m * n)
-            J[e, 16] = d * (2.0 * m * n if e == 0 else (r2 + 2.0 * n * n))
-            J[e, 17] = d * m if e == 0 else 0.0
-            J[e, 18] = d * n if e == 0 else 0.0
-        elif interior:
-            r2 = x * x + y * y
-            g0 = x * r2
-            g1 = y * r2
-            J[e, 9] = (f0 * u + f1 * v) * s
-            J[e, 10] = sx if e == 0 else 0.0
-            J[e, 11] = 0.0 if e == 0 else sy
-            J[e, 12] = -(f0 * g0 + f1 * g1)
-            J[e, 13] = J[e, 12] * r2
-            J[e, 14] = J[e, 13] * r2
-            J[e, 15] = -(f0 * (r2 + 2.0 * x * x) + f1 * 2.0 * x * y)
-            J[e, 16] = -(f0 * 2.0 * x * y + f1 * (r2 + 2.0 * y * y))
-            J[e, 17] = -f0 * x
-            J[e, 18] = -f0 * y
-    return True
-
-
-@part
 def loss(kind, t):
     """Cost and weight factor of a residual of length t standard deviations; kind 0 none, 1 Huber, 2 Cauchy, 3 Danish."""
     if kind == 1 and t > 1.5:
@@ -190,6 +107,87 @@ def loss(kind, t):
         e = np.exp(1.0 - min(t * t / 9.0, 700.0))
         return 4.5 + 4.5 * (1.0 - e), e
     return 0.5 * t * t, 1.0
+
+
+@inner
+def derive(o, i, p, camera, pixel, weight, kind, poses, cameras, points, photo, r, J, interior, found):
+    """Weighted residual r (2,), observed minus projected, and derivatives of the projection J (2, 20): centre, rotation, point
+    and, where asked for, the ten interior parameters, all with the weight of a robust loss taken in. Nothing where the
+    point cannot be seen. photo (o, 2): where the point is in the photo, reduced [mm], kept by the first pass and read by those
+    after it (found)."""
+    k = cameras[camera[i]]
+    ex = points[p, 0] - poses[i, 0]
+    ey = points[p, 1] - poses[i, 1]
+    ez = points[p, 2] - poses[i, 2]
+    u = poses[i, 3] * ex + poses[i, 4] * ey + poses[i, 5] * ez
+    v = poses[i, 6] * ex + poses[i, 7] * ey + poses[i, 8] * ez
+    w = poses[i, 9] * ex + poses[i, 10] * ey + poses[i, 11] * ez
+    if not (w < 0.0 or (k[15] > 2.5 and w > 0.0)):
+        return
+    s = -1.0 / w
+    m = u * s
+    n = v * s
+    xi = m * k[0]
+    yi = n * k[0]
+    x = xi
+    y = yi
+    b00 = b11 = 1.0
+    b01 = b10 = 0.0
+    forward = k[15] > 1.5
+    if forward:
+        x, y, b00, b01, b10, b11 = bend(k, m, n)
+    elif k[15] != 0.0:
+        if found:
+            x = photo[o, 0]
+            y = photo[o, 1]
+        else:
+            x = (pixel[o, 0] - k[12]) / k[10] - k[1]
+            y = -(pixel[o, 1] - k[13]) / k[11] - k[2]
+        bad, x, y, b00, b01, b10, b11 = invert(k, xi, yi, x, y, found)
+        photo[o, 0] = x
+        photo[o, 1] = y
+        if bad:
+            return
+    sx = k[10] * weight[o]
+    sy = -k[11] * weight[o]
+    r0 = (pixel[o, 0] - k[12]) * weight[o] - (x + k[1]) * sx
+    r1 = (pixel[o, 1] - k[13]) * weight[o] - (y + k[2]) * sy
+    if kind != 0:
+        a = np.sqrt(loss(kind, np.sqrt(r0 * r0 + r1 * r1))[1])
+        r0 *= a
+        r1 *= a
+        sx *= a
+        sy *= a
+    r[0] = r0
+    r[1] = r1
+    q = k[0] * s
+    for e in range(2):
+        f0 = b00 * sx if e == 0 else b10 * sy
+        f1 = b01 * sx if e == 0 else b11 * sy
+        a0 = f0 * q
+        a1 = f1 * q
+        a2 = (f0 * xi + f1 * yi) * s
+        x0 = a0 * poses[i, 3] + a1 * poses[i, 6] + a2 * poses[i, 9]
+        x1 = a0 * poses[i, 4] + a1 * poses[i, 7] + a2 * poses[i, 10]
+        x2 = a0 * poses[i, 5] + a1 * poses[i, 8] + a2 * poses[i, 11]
+        set_six(J, 20 * e, -x0, -x1, -x2, v * a2 - w * a1, w * a0 - u * a2, u * a1 - v * a0)
+        J[e, 6] = x0
+        J[e, 7] = x1
+        J[e, 8] = x2
+        if interior and forward:
+            d = sx if e == 0 else sy
+            g = d * k[0]
+            r2 = m * m + n * n
+            t = g * (m if e == 0 else n) * r2
+            set_ten(J, 20 * e + 9, d * (x if e == 0 else y) / k[0], sx if e == 0 else 0.0, 0.0 if e == 0 else sy,
+                    t, t * r2, t * r2 * r2, g * ((r2 + 2.0 * m * m) if e == 0 else 2.0 * m * n),
+                    g * (2.0 * m * n if e == 0 else (r2 + 2.0 * n * n)), g * m if e == 0 else 0.0, g * n if e == 0 else 0.0)
+        elif interior:
+            r2 = x * x + y * y
+            t = -(f0 * x + f1 * y) * r2
+            set_ten(J, 20 * e + 9, f0 * m + f1 * n, sx if e == 0 else 0.0, 0.0 if e == 0 else sy,
+                    t, t * r2, t * r2 * r2, -(f0 * (r2 + 2.0 * x * x) + f1 * 2.0 * x * y),
+                    -(f0 * 2.0 * x * y + f1 * (r2 + 2.0 * y * y)), -f0 * x, -f0 * y)
 
 
 @kernel
@@ -230,31 +228,17 @@ def cost(p0, p1, start, image, camera, pixel, weight, kind, poses, cameras, poin
     return total
 
 
-@part
-def derive(o, i, p, camera, pixel, weight, kind, poses, cameras, points, photo, r, J, interior, found):
-    """`see`, with the weight of a robust loss taken in."""
-    see(poses, i, cameras, camera[i], points, p, pixel, o, weight, r, J, interior, photo, found)
-    if kind != 0:
-        s = np.sqrt(loss(kind, np.sqrt(r[0] * r[0] + r[1] * r[1]))[1])
-        for j in range(19 if interior else 9):
-            J[0, j] *= s
-            J[1, j] *= s
-        r[0] *= s
-        r[1] *= s
-
-
 @kernel
 def gather(p0, p1, live, start, image, camera, pixel, weight, kind, poses, cameras, points, photo, first, count,
            which, U, B, C, g, h, V, q):
-    """Normal equations before any elimination: U (m, 6, 6) (lower), B (m, 6, k), C (k, k) with right sides g (m, 6) and h
-    (k,) are
-    summed, V (n, 6) (00, 10, 11, 20, 21, 22) and q (n, 3) of the points below `live` are written.
+    """Normal equations before any elimination: U (m, 6, 6), B (m, k, 6), C (k, 10) (each freed parameter with the ten of its
+    camera) with right sides g (m, 6) and h (cameras, 10) are summed, V (n, 6) (00, 10, 11, 20, 21, 22) and q (n, 3) of the
+    points below `live` are written.
 
     first, count: where a camera's free parameters stand in the border, and how many; which (k,): which of the ten."""
     border = len(which)
     r = np.zeros(2)
-    J = np.zeros((2, 19))
-    F = np.zeros((2, border))
+    J = np.zeros((2, 20))
     for p in range(p0, p1):
         v00 = v10 = v11 = v20 = v21 = v22 = g0 = g1 = g2 = 0.0
         for o in range(start[p], start[p + 1]):
@@ -273,36 +257,23 @@ def gather(p0, p1, live, start, image, camera, pixel, weight, kind, poses, camer
                 g0 += x0 * r0 + y0 * r1
                 g1 += x1 * r0 + y1 * r1
                 g2 += x2 * r0 + y2 * r1
-            for s in range(6):
-                a = J[0, s]
-                b = J[1, s]
-                g[i, s] += a * r0 + b * r1
-                for t in range(s + 1):
-                    U[i, s, t] += a * J[0, t] + b * J[1, t]
+            add_two(g, 6 * i, J, 0, r0, r1)
+            add_product(U, i, J, 0, 0)
             if border > 0:
                 c = camera[i]
                 f = first[c]
-                n = count[c]
-                for s in range(n):
-                    F[0, s] = J[0, 9 + which[f + s]]
-                    F[1, s] = J[1, 9 + which[f + s]]
-                for s in range(6):
-                    a = J[0, s]
-                    b = J[1, s]
-                    for t in range(n):
-                        B[i, s, f + t] += a * F[0, t] + b * F[1, t]
-                for s in range(n):
-                    a = F[0, s]
-                    b = F[1, s]
-                    h[f + s] += a * r0 + b * r1
-                    for t in range(n):
-                        C[f + s, f + t] += a * F[0, t] + b * F[1, t]
+                for s in range(count[c]):
+                    x0 = J[0, 9 + which[f + s]]
+                    y0 = J[1, 9 + which[f + s]]
+                    add_two(B, 6 * (border * i + f + s), J, 0, x0, y0)
+                    add_ten(C, 10 * (f + s), J, 9, x0, y0)
+                add_ten(h, 10 * c, J, 9, r0, r1)
         if p < live:
             V[p, 0], V[p, 1], V[p, 2], V[p, 3], V[p, 4], V[p, 5] = v00, v10, v11, v20, v21, v22
             q[p, 0], q[p, 1], q[p, 2] = g0, g1, g2
 
 
-@part
+@inner
 def root(V, p, damping, L):
     """L (6,): Cholesky factor of a point's block, its diagonal raised by the damping, with inverse diagonal; NaN if singular."""
     d = 1.0 + damping
@@ -318,22 +289,25 @@ def root(V, p, damping, L):
 @kernel
 def eliminate(p0, p1, longest, start, image, camera, pixel, weight, kind, poses, cameras, points, photo, first, count,
               which, V, q, damping, lut, S, B, C, g, h):
-    """Take the points p0 .. p1 out: subtract W V^-1 W^T from S (b, 6, 6), its border B (m, 6, k), C (k, k) and right sides."""
+    """Take the points p0 .. p1 out: subtract W V^-1 W^T from S (b, 6, 6), its border B (m, k, 6), C (k, k) and right sides."""
     border = len(which)
     r = np.zeros(2)
-    J = np.zeros((2, 19))
+    J = np.zeros((2, 20))
     L = np.zeros(6)
     Z = np.zeros((longest, 3, 6))
-    Y = np.zeros((3, border))
+    Y = np.zeros((max(border, 1), 4))
+    columns = np.zeros(border, np.int64)  # of the border, those that this point touches
+    row = np.zeros(len(count), np.int64)  # where a camera's begin among them
+    since = np.full(len(count), -1)  # the point that they belong to
     for p in range(p0, p1):
         o0 = start[p]
         n = start[p + 1] - o0
+        many = 0
         root(V, p, damping, L)
         i0, l10, i1, l20, l21, i2 = L[0], L[1], L[2], L[3], L[4], L[5]
         z0 = q[p, 0] * i0
         z1 = (q[p, 1] - l10 * z0) * i1
         z2 = (q[p, 2] - l20 * z0 - l21 * z1) * i2
-        Y[:] = 0.0
         for e in range(n):
             o = o0 + e
             i = image[o]
@@ -344,51 +318,44 @@ def eliminate(p0, p1, longest, start, image, camera, pixel, weight, kind, poses,
             y0 = J[1, 6] * i0
             y1 = (J[1, 7] - l10 * y0) * i1
             y2 = (J[1, 8] - l20 * y0 - l21 * y1) * i2
-            for s in range(6):
-                a = J[0, s]
-                b = J[1, s]
-                Z[e, 0, s] = a * x0 + b * y0
-                Z[e, 1, s] = a * x1 + b * y1
-                Z[e, 2, s] = a * x2 + b * y2
-                g[i, s] -= Z[e, 0, s] * z0 + Z[e, 1, s] * z1 + Z[e, 2, s] * z2
+            set_two(Z, 18 * e, J, 0, x0, y0)
+            set_two(Z, 18 * e + 6, J, 0, x1, y1)
+            set_two(Z, 18 * e + 12, J, 0, x2, y2)
+            add_three(g, 6 * i, Z, 18 * e, -z0, -z1, -z2)
             if border > 0:
-                f = first[camera[i]]
-                for s in range(count[camera[i]]):
-                    a = J[0, 9 + which[f + s]]
-                    b = J[1, 9 + which[f + s]]
-                    Y[0, f + s] += a * x0 + b * y0
-                    Y[1, f + s] += a * x1 + b * y1
-                    Y[2, f + s] += a * x2 + b * y2
-        for s in range(border):
-            h[s] -= Y[0, s] * z0 + Y[1, s] * z1 + Y[2, s] * z2
-            for t in range(border):
-                C[s, t] -= Y[0, s] * Y[0, t] + Y[1, s] * Y[1, t] + Y[2, s] * Y[2, t]
+                c = camera[i]
+                f = first[c]
+                if since[c] != p:
+                    since[c] = p
+                    row[c] = many
+                    for s in range(count[c]):
+                        columns[many] = f + s
+                        Y[many] = 0.0
+                        many += 1
+                for s in range(count[c]):
+                    add_outer(Y, 4 * (row[c] + s), J[0, 9 + which[f + s]], J[1, 9 + which[f + s]], x0, x1, x2, y0, y1, y2)
+        for s in range(many):
+            u = columns[s]
+            h[u] -= Y[s, 0] * z0 + Y[s, 1] * z1 + Y[s, 2] * z2
+            for t in range(many):
+                C[u, columns[t]] -= Y[s, 0] * Y[t, 0] + Y[s, 1] * Y[t, 1] + Y[s, 2] * Y[t, 2]
         for e in range(n):
             i = image[o0 + e]
-            for s in range(6):
-                a0 = Z[e, 0, s]
-                a1 = Z[e, 1, s]
-                a2 = Z[e, 2, s]
-                for t in range(border):
-                    B[i, s, t] -= a0 * Y[0, t] + a1 * Y[1, t] + a2 * Y[2, t]
+            for t in range(many):
+                add_three(B, 6 * (border * i + columns[t]), Z, 18 * e, -Y[t, 0], -Y[t, 1], -Y[t, 2])
             for d in range(e, n):
-                block = lut[i, image[o0 + d]]
-                for s in range(6):
-                    a0 = Z[e, 0, s]
-                    a1 = Z[e, 1, s]
-                    a2 = Z[e, 2, s]
-                    for t in range(6):
-                        S[block, s, t] -= a0 * Z[d, 0, t] + a1 * Z[d, 1, t] + a2 * Z[d, 2, t]
+                subtract_product(S, lut[i, image[o0 + d]], Z, 18 * e, 18 * d)
 
 
 @kernel
 def expand(p0, p1, start, image, camera, pixel, weight, kind, poses, cameras, points, photo, first, count, which, V, q, damping,
            images, shared, out):
-    """Steps of the points, out (n, r, 3), that belong to steps of the images (m, 6, r) and of the border (k, r); q (n, r, 3)."""
+    """Steps of the points, out (n, r, 3), that belong to steps of the images (m, r, 6) and of the ten of every camera (c, r, 10);
+    q (n, r, 3)."""
     border = len(which)
-    many = images.shape[2]
+    many = images.shape[1]
     r = np.zeros(2)
-    J = np.zeros((2, 19))
+    J = np.zeros((2, 20))
     L = np.zeros(6)
     G = np.zeros((many, 3))
     for p in range(p0, p1):
@@ -397,17 +364,12 @@ def expand(p0, p1, start, image, camera, pixel, weight, kind, poses, cameras, po
         for o in range(start[p], start[p + 1]):
             i = image[o]
             derive(o, i, p, camera, pixel, weight, kind, poses, cameras, points, photo, r, J, border > 0, True)
-            f = first[camera[i]]
             for c in range(many):
-                e0 = 0.0
-                e1 = 0.0
-                for s in range(6):
-                    e0 += J[0, s] * images[i, s, c]
-                    e1 += J[1, s] * images[i, s, c]
+                e0 = dot_six(J, 0, images, 6 * (many * i + c))
+                e1 = dot_six(J, 20, images, 6 * (many * i + c))
                 if border > 0:
-                    for s in range(count[camera[i]]):
-                        e0 += J[0, 9 + which[f + s]] * shared[f + s, c]
-                        e1 += J[1, 9 + which[f + s]] * shared[f + s, c]
+                    e0 += dot_ten(J, 9, shared, 10 * (many * camera[i] + c))
+                    e1 += dot_ten(J, 29, shared, 10 * (many * camera[i] + c))
                 G[c, 0] -= J[0, 6] * e0 + J[1, 6] * e1
                 G[c, 1] -= J[0, 7] * e0 + J[1, 7] * e1
                 G[c, 2] -= J[0, 8] * e0 + J[1, 8] * e1
@@ -425,11 +387,11 @@ def expand(p0, p1, start, image, camera, pixel, weight, kind, poses, cameras, po
 
 @plain
 def carry(p0, p1, start, image, camera, pixel, weight, kind, poses, cameras, points, photo, first, count, which, V, q, g, h):
-    """Right sides (n, r, 3) of the points, eliminated: subtracts W V^-1 q from g (m, 6, r) and h (k, r)."""
+    """Right sides (n, r, 3) of the points, eliminated: subtracts W V^-1 q from g (m, r, 6) and h (cameras, r, 10)."""
     border = len(which)
     many = q.shape[1]
     r = np.zeros(2)
-    J = np.zeros((2, 19))
+    J = np.zeros((2, 20))
     L = np.zeros(6)
     x = np.zeros((many, 3))
     for p in range(p0, p1):
@@ -444,15 +406,12 @@ def carry(p0, p1, start, image, camera, pixel, weight, kind, poses, cameras, poi
         for o in range(start[p], start[p + 1]):
             i = image[o]
             derive(o, i, p, camera, pixel, weight, kind, poses, cameras, points, photo, r, J, border > 0, True)
-            f = first[camera[i]]
             for c in range(many):
                 e0 = J[0, 6] * x[c, 0] + J[0, 7] * x[c, 1] + J[0, 8] * x[c, 2]
                 e1 = J[1, 6] * x[c, 0] + J[1, 7] * x[c, 1] + J[1, 8] * x[c, 2]
-                for s in range(6):
-                    g[i, s, c] -= J[0, s] * e0 + J[1, s] * e1
+                add_two(g, 6 * (many * i + c), J, 0, -e0, -e1)
                 if border > 0:
-                    for s in range(count[camera[i]]):
-                        h[f + s, c] -= J[0, 9 + which[f + s]] * e0 + J[1, 9 + which[f + s]] * e1
+                    add_ten(h, 10 * (many * camera[i] + c), J, 9, -e0, -e1)
 
 
 @plain
@@ -464,7 +423,7 @@ def judge(p0, p1, live, longest, start, image, camera, pixel, weight, kind, pose
     border = len(which)
     whole = len(computed) > 0
     r = np.zeros(2)
-    J = np.zeros((longest, 2, 19))
+    J = np.zeros((longest, 2, 20))
     E = np.zeros((longest, 3, 6))
     P = np.zeros((longest, 6, 3))
     EB = np.zeros((3, border))

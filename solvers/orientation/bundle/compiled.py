@@ -110,11 +110,11 @@ class Compiled:
         m, f, live = net.sizes
         photo = np.empty((len(net.image), 2))  # filled by this pass, read by those after it
         at = (*self._at(x), photo, net.first, net.count, net.border)
-        parts = [np.zeros((t, *shape)) for shape in ((m, 6, 6), (m, 6, f), (f, f), (m, 6), (f,))]
+        parts = [np.zeros((t, *shape)) for shape in ((m, 6, 6), (m, f, 6), (f, 10), (m, 6), (len(net.count), 10))]
         v, q = np.zeros((live, 6)), np.zeros((live, 3))
         self._each(lambda k, a, b: self._kernels.gather(a, b, live, *at, *(p[k] for p in parts), v, q))
         u, b, c, g, h = (p.sum(axis=0) if t > 1 else p[0] for p in parts)
-        u += np.swapaxes(np.tril(u, -1), 1, 2)
+        b, c, h = np.swapaxes(b, 1, 2), self._freed(c), self._of(h)
         rows, (misclosure, d) = net.prior_arrays[0], priors
         u[rows] += np.swapaxes(d, 1, 2) @ d
         g[rows] += (np.swapaxes(d, 1, 2) @ misclosure[..., None])[..., 0]
@@ -188,11 +188,35 @@ class Compiled:
             out[k] = v * ((np.sqrt(LOSSES[net.loss](t)) if net.loss else np.ones(len(o))) / net.sigma[o])[:, None]
         return out
 
+    @cached_property
+    def _owner(self) -> np.ndarray:
+        """(f,) camera of each freed parameter."""
+        return np.repeat(np.arange(len(self.network.count)), self.network.count)
+
+    def _freed(self, c: np.ndarray) -> np.ndarray:
+        """(f, f) of the freed parameters, from (f, 10): each one's with the ten of its camera."""
+        owner, which, n = self._owner, self.network.which, len(self._owner)
+        out = np.zeros((len(c), len(c)))
+        out[:n, :n] = np.where(owner[:, None] == owner, c[:n, which[:n]], 0.0)
+        return out
+
+    def _of(self, ten: np.ndarray) -> np.ndarray:
+        """(f, ...) of the border, from (cameras, 10, ...)."""
+        out = np.zeros((self.network.sizes[1], *ten.shape[2:]))
+        out[:len(self._owner)] = ten[self._owner, self.network.which]
+        return out
+
+    def _ten(self, shared: np.ndarray) -> np.ndarray:
+        """(cameras, r, 10) from the border's (f, r): nothing where a parameter is not freed."""
+        out = np.zeros((len(self.network.count), shared.shape[1], 10))
+        out[self._owner, :, self.network.which] = shared[:len(self._owner)]
+        return out
+
     def reduce(self, made: Gathered, damping: float) -> Reduced:
         """The points eliminated, all diagonals raised by the damping."""
         net, t, p = self.network, self.threads, self.pattern
         m, f, live = net.sizes
-        parts = [np.zeros((t, *shape)) for shape in ((len(p.row), 6, 6), (m, 6, f), (f, f), (m, 6), (f,))]
+        parts = [np.zeros((t, *shape)) for shape in ((len(p.row), 6, 6), (m, f, 6), (f, f), (m, 6), (f,))]
         self._each(lambda k, a, b: self._kernels.eliminate(a, b, self.longest, *made.at, made.V, made.q, damping, self.lut,
                                                            *(part[k] for part in parts)), live)
         for part in parts:
@@ -203,14 +227,14 @@ class Compiled:
         s[diagonal] += made.U
         s[diagonal[:, None], np.arange(6), np.arange(6)] += damping * np.einsum("mii->mi", made.U)
         c += made.C + damping * np.diag(np.diag(made.C))
-        return Reduced(p, s, (b + made.B).reshape(6 * m, f), c, (g + made.g).ravel(), h + made.h)
+        return Reduced(p, s, (np.swapaxes(b, 1, 2) + made.B).reshape(6 * m, f), c, (g + made.g).ravel(), h + made.h)
 
     def expand(self, made: Gathered, images: np.ndarray, shared: np.ndarray, q: np.ndarray, damping: float) -> np.ndarray:
         """(live, r, 3) points that belong to images (6 m, r) and border (f, r); right sides q (live, r, 3)."""
         m, _, live = self.network.sizes
         out = np.empty((live, images.shape[1], 3))
-        cameras = np.ascontiguousarray(images).reshape(m, 6, -1)
-        self._each(lambda _, a, b: self._kernels.expand(a, b, *made.at, made.V, q, damping, cameras, shared, out), live)
+        steps, ten = np.ascontiguousarray(images.reshape(m, 6, -1).swapaxes(1, 2)), self._ten(shared)
+        self._each(lambda _, a, b: self._kernels.expand(a, b, *made.at, made.V, q, damping, steps, ten, out), live)
         return out
 
     def normal(self, x: np.ndarray, priors: tuple[np.ndarray, np.ndarray], inner: Inner | None) -> Schur:
@@ -272,9 +296,10 @@ class Compiled:
         k7 = inner.count
         right = np.ascontiguousarray(h[:, 6 * m + f:].reshape(k7, live, 3).swapaxes(0, 1))
         border = h[:, 6 * m:6 * m + f].T
-        g, b = np.zeros((self.threads, m, 6, k7)), np.zeros((self.threads, f, k7))
+        g, b = np.zeros((self.threads, m, k7, 6)), np.zeros((self.threads, len(net.count), k7, 10))
         self._each(lambda k, a, e: self._kernels.carry(a, e, *made.at, made.V, right, g[k], b[k]), live)
-        images, shared = reduced.solve(g.sum(axis=0).reshape(6 * m, k7), b.sum(axis=0) + border)
+        images, shared = reduced.solve(g.sum(axis=0).swapaxes(1, 2).reshape(6 * m, k7),
+                                       self._of(b.sum(axis=0).swapaxes(1, 2)) + border)
         objects = self.expand(made, images, shared, right, 0.0)  # (live, 7, 3)
         small = np.linalg.inv(h @ motion)
         drift = (small @ images.T).reshape(k7, m, 6).swapaxes(0, 1)  # (m, 7, 6): what every datum direction shares with a pose
