@@ -46,7 +46,12 @@ def adjust_project(folder: Path | str, command: str = "adjust", recorder: Bundle
     block = read_project(folder)
     if corners is not None:
         block, options = _by_corners(block, corners, options)
-    result = adjust_block(block, **options)
+    return leave_run(folder, command, block, adjust_block(block, **options), recorder)
+
+
+def leave_run(folder: Path, command: str, block: Block, result: Adjusted,
+              recorder: BundleRecorder | None = None) -> AdjustedProject:
+    """Keep an adjusted block as a run of a project: trace, result.json, recording.rrd; all of it or nothing."""
     run = new_run(folder, command)
     try:
         save_trace(result.trace, run)

@@ -8,6 +8,7 @@ import numpy as np
 
 from .values import (
     Ellipsoid,
+    Ellipsoids,
     Frusta,
     Frustum,
     Mesh,
@@ -60,6 +61,11 @@ def _triangles(value: Value) -> Any:
     if isinstance(value, Ellipsoid):
         ball = trimesh.creation.icosphere(subdivisions=3)
         return _painted((ball.vertices * value.radii) @ value.axes.T + value.centre, ball.faces, value.colour, value.opacity)
+    if isinstance(value, Ellipsoids):
+        ball = trimesh.creation.icosphere(subdivisions=2)
+        shaped = (ball.vertices[None] * value.radii[:, None]) @ np.swapaxes(value.axes, 1, 2) + value.centres[:, None]
+        balls = ball.faces[None] + len(ball.vertices) * np.arange(len(shaped))[:, None, None]
+        return _painted(shaped.reshape(-1, 3), balls.reshape(-1, 3), value.colour, value.opacity)
     if isinstance(value, Frustum):
         faces = [[0, 2, 1], [0, 3, 2], [0, 4, 3], [0, 1, 4], [1, 2, 3], [1, 3, 4]]
         return _painted(np.vstack([value.exterior.centre, frustum_corners(value)]), faces, value.colour, 0.35)

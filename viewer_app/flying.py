@@ -8,6 +8,7 @@ import numpy as np
 
 from .acting import Action, handles, update
 from .actions import ChooseImage, ChoosePoint
+from .bundle_state import place
 from .ground import site
 from .scene import any_exterior, frustum_depth
 from .state import State
@@ -33,6 +34,8 @@ def flight(state: State, action: Fly, position: np.ndarray, look_at: np.ndarray)
     """Position (3,) and point looked at (3,) [m, local] that show it from where one looks now; None where it has no place."""
     if action.what == "point" and action.name in state.block.points.names:
         at = state.assets.frame.to_local(state.block.points.xyz[[state.block.point_index(action.name)]])[0]
+        placed = place(state, action.name)
+        at = placed if placed is not None and not np.isfinite(at).all() else at
         low, high = site(state)
         far = 0.35 * float(np.linalg.norm(high - low))
     elif action.what == "image" and any(i.name == action.name for i in state.block.images):

@@ -9,6 +9,7 @@ import numpy as np
 from solvers.block import Points
 
 from . import theme
+from .bundle_state import Bundle
 from .kept import by_identity
 from .matching_state import Matching
 from .state import Assets, State
@@ -36,6 +37,11 @@ def site(state: State) -> tuple[np.ndarray, np.ndarray]:
 
 def _instead(state: State) -> np.ndarray:
     """Places (n, 3) m where no point is known: tie points as a bundle placed them, else where the photos were taken from."""
+    room = state.room(Bundle)
+    if room.rows and room.layout is not None:
+        xyz = room.layout.places(room.rows[-1].x)
+        low, high = np.percentile(xyz, [1, 99], axis=0)
+        return xyz[((xyz >= low) & (xyz <= high)).all(axis=1)]
     network = state.room(Matching).network
     if network is not None and len(network.xyz):
         low, high = np.percentile(network.xyz, [1, 99], axis=0)
@@ -44,8 +50,9 @@ def _instead(state: State) -> np.ndarray:
     return state.assets.frame.to_local(np.array(priors, float).reshape(-1, 3)) if priors else np.empty((0, 3))
 
 
-def ground(state: State, vectors: float) -> Scene:
-    """Terrain or a plane at the mean height of the points, a grid in metres, north and a scale bar."""
+def ground(state: State, vectors: float | None) -> Scene:
+    """Terrain or a plane at the mean height of the points, a grid in metres, north and a scale bar. vectors: exaggeration of
+    the residuals drawn, None where only the ground is."""
     low, high = site(state)
     span = float((high - low)[:2].max())
     cell = nice(span / 8)
@@ -80,7 +87,7 @@ def _grid(x0: float, x1: float, y0: float, y1: float, cell: float, z: float) -> 
     return np.array(along_y + along_x)
 
 
-def _north(state: State, x0: float, x1: float, y0: float, y1: float, z: float, cell: float, vectors: float) -> Scene:
+def _north(state: State, x0: float, x1: float, y0: float, y1: float, z: float, cell: float, vectors: float | None) -> Scene:
     ink = theme.foreground(state.view.dark)
     x, tip, head = x1 + 0.6 * cell, y1, 0.25 * cell
     foot = tip - 1.6 * cell
@@ -101,10 +108,12 @@ def _north(state: State, x0: float, x1: float, y0: float, y1: float, z: float, c
     return found
 
 
-def scales(state: State, cell: float, vectors: float) -> str:
+def scales(state: State, cell: float, vectors: float | None) -> str:
     """The scale bar in words, with every exaggeration that is drawn."""
     view = state.view
     words = [f"{cell:g} m"]
+    if vectors is None:
+        return words[0]
     if view.residuals:
         words.append(f"residuals × {vectors:g}")
     if view.ellipsoids:

@@ -15,7 +15,7 @@ from solvers import Exterior
 from solvers.geometry import to_opencv
 
 from .tones import sent
-from .values import Ellipsoid, Frusta, Frustum, Label, Mesh, Plane, PointCloud, Scene, Segments, Value, linear
+from .values import Ellipsoid, Ellipsoids, Frusta, Frustum, Label, Mesh, Plane, PointCloud, Scene, Segments, Value, linear
 
 
 class Painter:
@@ -225,6 +225,37 @@ def _change_ellipsoid(nodes: list[Any], old: Ellipsoid, new: Ellipsoid) -> bool:
     return True
 
 
+def _add_ellipsoids(scene: viser.SceneApi, path: str, value: Ellipsoids) -> list[Any]:
+    vertices, faces = _sphere(9, 16)
+    return [
+        scene.add_batched_meshes_simple(
+            path,
+            vertices,
+            faces,
+            _quaternions(value.axes).astype(np.float32),
+            value.centres.astype(np.float32),
+            batched_scales=value.radii.astype(np.float32),
+            batched_colors=linear(np.array(value.colour, np.uint8)),
+            opacity=value.opacity,
+            lod="off",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+    ]
+
+
+def _change_cloud(nodes: list[Any], old: PointCloud, new: PointCloud) -> bool:
+    if len(old.points) != len(new.points):
+        return False
+    node = nodes[0]
+    node.points = new.points.astype(np.float32)
+    if old.colours is not new.colours:
+        node.colors = new.colours
+    if old.size != new.size:
+        node.point_size = new.size
+    return True
+
+
 def _add_plane(scene: viser.SceneApi, path: str, value: Plane) -> list[Any]:
     return [
         scene.add_mesh_simple(
@@ -268,10 +299,9 @@ def _change_label(nodes: list[Any], old: Label, new: Label) -> bool:
     return True
 
 
-@lru_cache(maxsize=1)
-def _sphere() -> tuple[np.ndarray, np.ndarray]:
+@lru_cache(maxsize=2)
+def _sphere(rows: int = 17, columns: int = 32) -> tuple[np.ndarray, np.ndarray]:
     """Vertices and faces of a unit sphere, by latitude and longitude."""
-    rows, columns = 17, 32
     lat, lon = np.linspace(-np.pi / 2, np.pi / 2, rows), 2 * np.pi * np.arange(columns) / columns
     a, b = np.meshgrid(lat, lon, indexing="ij")
     vertices = np.stack([np.cos(a) * np.cos(b), np.cos(a) * np.sin(b), np.sin(a)], axis=-1).reshape(-1, 3)
@@ -289,6 +319,7 @@ ADD: dict[type, Callable[[viser.SceneApi, str, Any], list[Any]]] = {
     Segments: _add_segments,
     PointCloud: _add_cloud,
     Ellipsoid: _add_ellipsoid,
+    Ellipsoids: _add_ellipsoids,
     Plane: _add_plane,
     Mesh: _add_mesh,
     Label: _add_label,
@@ -297,6 +328,7 @@ CHANGE: dict[type, Callable[[list[Any], Any, Any], bool]] = {
     Frustum: _change_frustum,
     Frusta: _change_frusta,
     Segments: _change_segments,
+    PointCloud: _change_cloud,
     Ellipsoid: _change_ellipsoid,
     Plane: _change_plane,
     Label: _change_label,

@@ -12,6 +12,7 @@ from solvers.cameras import ideal_photo
 from solvers.orientation import Orientation
 
 from . import theme
+from .bundle_state import exterior as bundled
 from .ground import ground, known_points, nice, points, site
 from .kept import by_identity
 from .spots import spots
@@ -64,8 +65,11 @@ class Sight:
         return (offset * (depth / self.interior.c)[:, None]) @ self.exterior.m
 
 
-def scene(state: State) -> Scene:
-    """All that is to be seen."""
+def scene(state: State, images: bool = True) -> Scene:
+    """All that is to be seen; images: also those oriented one by one."""
+    if not images:
+        seen = {path: value for path, value in points(state).items() if path != "/points/tie"}
+        return {**ground(state, None), **seen, **spots(state)}
     found: Scene = {**ground(state, vector_scale(state)), **points(state), **spots(state)}
     depth = frustum_depth(state)
     if len(state.block.images) > MANY:
@@ -185,7 +189,7 @@ def any_exterior(state: State, image: str) -> Exterior | None:
         solution = state.solution(model, image)
         if solution and solution.rows:
             return Exterior.from_vector(solution.rows[-1].x)
-    return state.assets.truth.get(image) or prior(state, image)
+    return bundled(state, image) or state.assets.truth.get(image) or prior(state, image)
 
 
 def prior(state: State, image: str) -> Exterior | None:
@@ -292,7 +296,7 @@ def _bundle(state: State, seen: Sight, path: str) -> Scene:
     colour = theme.ORTHOGONAL
     return {
         f"{path}/parallel": Segments(np.stack([xyz, feet - reach * axis], axis=1), colour, 1.5),
-        f"{path}/rays": Segments(_lines(exterior.centre, feet), _pale(colour, state.view.dark), 1.0),
+        f"{path}/rays": Segments(_lines(exterior.centre, feet), pale(colour, state.view.dark), 1.0),
         f"{path}/plane": Plane(corners, colour, 0.22),
         f"{path}/plane_edge": Segments(np.stack([corners, np.roll(corners, -1, axis=0)], axis=1), colour, 1.5),
     }
@@ -364,7 +368,7 @@ def _lines(centre: np.ndarray, ends: np.ndarray) -> np.ndarray:
     return np.stack([np.broadcast_to(centre, ends.shape), ends], axis=1)
 
 
-def _pale(colour: theme.Colour, dark: bool) -> theme.Colour:
+def pale(colour: theme.Colour, dark: bool) -> theme.Colour:
     """Half way to the background: lines have no transparency of their own."""
     back = theme.BACKGROUND_DARK if dark else theme.BACKGROUND_LIGHT
     r, g, b = ((c + d) // 2 for c, d in zip(colour, back, strict=True))

@@ -201,8 +201,13 @@ class State:
 
     @property
     def last_row(self) -> int:
-        """Last position of the slider: that of the longer of the chosen image's traces."""
-        return max((len(s.rows) - 1 for m in COMPARED if (s := self.solution(m)) and s.rows), default=0)
+        """Last position of the slider: that of the longest of the chosen image's traces and of those of the tabs (`steps`), of
+        which one may lead: then it alone is stepped through."""
+        leading = [room.steps for room in self.rooms.values() if getattr(room, "leads", False)]
+        if leading:
+            return max(leading)
+        own = max((len(s.rows) - 1 for m in COMPARED if (s := self.solution(m)) and s.rows), default=0)
+        return max([own, *(getattr(room, "steps", 0) for room in self.rooms.values())])
 
     @property
     def shown_row(self) -> int:

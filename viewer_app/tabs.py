@@ -69,6 +69,7 @@ class Tab:
     make: builds the panel inside its tab. commands: its lines of the palette and its keys.
     heard: what a message of the wire means, by its kind; value is text, or 2 or 4 numbers from 0 to 1, and anyone can send it.
     tasks: long work that is wanted now; done in another process, first things first. scene: what it adds to the scene.
+    alone: whether that takes the place of the images oriented one by one.
     click: what a ray into the scene means, from (3,) along (3,), tolerance [rad]; asked before the core's own meaning.
     """
 
@@ -80,6 +81,7 @@ class Tab:
     heard: Mapping[str, Heard] = field(default_factory=dict)
     tasks: Callable[[State], tuple[Task, ...]] | None = None
     scene: Callable[[State], Scene] | None = None
+    alone: Callable[[State], bool] | None = None
     click: Click | None = None
 
 
@@ -106,7 +108,7 @@ def whole_scene(state: State) -> Scene:
     """All that is to be seen, the tabs' own included."""
     from .scene import scene
 
-    found = dict(scene(state))
+    found = dict(scene(state, images=not any(tab.alone and tab.alone(state) for tab in tabs())))
     for tab in tabs():
         if tab.scene is not None:
             found |= tab.scene(state)

@@ -67,6 +67,17 @@ class Ellipsoid:
 
 
 @dataclass(frozen=True, eq=False)
+class Ellipsoids:
+    """Many of one colour as one: centres (n, 3) m, axes (n, 3, 3) with the semi-axes' directions as columns, radii (n, 3) m."""
+
+    centres: np.ndarray
+    axes: np.ndarray
+    radii: np.ndarray
+    colour: Colour
+    opacity: float = 0.35
+
+
+@dataclass(frozen=True, eq=False)
 class Plane:
     """A filled quadrilateral, corners (4, 3) in order."""
 
@@ -127,6 +138,6 @@ def linear(colours: np.ndarray) -> np.ndarray:
     return np.round(255 * np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)).astype(np.uint8)
 
 
-Value = Frustum | Frusta | Segments | PointCloud | Ellipsoid | Plane | Mesh | Label
+Value = Frustum | Frusta | Segments | PointCloud | Ellipsoid | Ellipsoids | Plane | Mesh | Label
 Scene = dict[str, Value]
 """Entity path -> value; the same paths in viser and rerun."""

@@ -43,6 +43,25 @@ class RerunPanel:
                 return
             self._show(url)
 
+    def show(self, recording: Path) -> None:
+        """Open a recording there is, without waiting for it."""
+        threading.Thread(target=self._open, args=(recording,), name="collinea-rerun", daemon=True).start()
+
+    def _open(self, recording: Path) -> None:
+        from ..paint_rerun import serve
+
+        with self._lock:
+            try:
+                serving = serve(recording)
+            except (PhotogrammetryError, OSError, RuntimeError) as error:
+                logging.getLogger("collinea").exception("rerun")
+                self._emit(Say(f"The run could not be opened in rerun: {error}"))
+                return
+            if self._serving is not None:
+                self._serving.close()
+            self._serving = serving
+            self._show(serving.url)
+
     def _serve(self) -> str | None:
         from ..paint_rerun import record, serve
 

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import viser
 
+from solvers.adjustment import Iteration
+
 from ..actions import GoTo, Play, Speed, Step
+from ..bundle_scene import alone, ink
+from ..bundle_state import Bundle
 from ..state import MODELS, State
 from ..tabs import Command, Desk, Tab
 from ..theme import MODELS as COLOURS
+from ..theme import Colour
 from .plots import Curve, plot
 from .widgets import BOX, MUTED, Html, bind, prop, put, swatch
 
@@ -51,23 +57,20 @@ class TracePanel:
 
     def _rows(self, state: State) -> str:
         lines = []
-        for model in MODELS:
-            solution = state.solution(model)
-            row = solution.row(state.row) if solution else None
-            if solution is None or row is None:
-                continue
+        for name, rows, colour in _traces(state):
+            row = rows[min(state.row, len(rows) - 1)]
             end = f" · {_stop(row.stop)}" if row.stop else ""
             sigma0 = f"{row.sigma0:.4g}" if row.sigma0 == row.sigma0 else "–"
             lines.append(
-                f"<div>{swatch(COLOURS[model])}{model} row {row.index}: σ0 {sigma0}, cost {row.cost:.5g}"
+                f"<div>{swatch(colour)}{name} row {row.index}: σ0 {sigma0}, cost {row.cost:.5g}"
                 f"<span {MUTED}>{end}</span></div>"
             )
         playing = "<div>playing ▶</div>" if state.playing else ""
         return "".join(lines) + playing or f"<div {MUTED}>No iteration yet.</div>"
 
     def _plots(self, state: State) -> str:
-        solutions = [(m, s) for m in MODELS if (s := state.solution(m)) and s.rows]
-        if not solutions:
+        traces = _traces(state)
+        if not traces:
             return ""
 
         def button(row: int, hint: str) -> str:
@@ -75,9 +78,19 @@ class TracePanel:
 
         drawn = []
         for title, name in PLOTS:
-            curves = [Curve(m, np.array([getattr(r, name) for r in s.rows], float), COLOURS[m]) for m, s in solutions]
-            drawn.append(plot(title, curves, state.shown_row, state.last_row, button))
+            curves = [Curve(n, np.array([getattr(r, name) for r in rows], float), colour) for n, rows, colour in traces]
+            last = max(len(rows) for _, rows, _ in traces) - 1
+            drawn.append(plot(title, curves, min(state.shown_row, last), last, button))
         return f'<div style="margin-top:6px;display:flex">{"".join(drawn)}</div>'
+
+
+def _traces(state: State) -> list[tuple[str, Sequence[Iteration], Colour]]:
+    """Name, rows and colour of the chosen image's traces, and of the bundle or, where it is drawn alone, only of that."""
+    room = state.room(Bundle)
+    bundle = [("bundle", room.rows, ink(state))] if room.rows else []
+    if alone(state):
+        return list(bundle)
+    return [*((m, s.rows, COLOURS[m]) for m in MODELS if (s := state.solution(m)) and s.rows), *bundle]
 
 
 def _stop(reason: str) -> str:

@@ -1,0 +1,212 @@
+"""The bundle as the viewer holds it: choices, rows that come, stepping, stopping, going on, residuals at any row; no browser."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from solvers.cameras import PARAMETERS
+from solvers.io import latest_run
+from viewer_app.acting import update
+from viewer_app.actions import GoTo, SwitchPoint
+from viewer_app.bundle_figures import camera_figures, field, image_vectors, profile
+from viewer_app.bundle_scene import ellipsoid_factor, judged, offsets, point_colours, scale_end, vector_factor
+from viewer_app.bundle_scene import scene as bundle_scene
+from viewer_app.bundle_state import (
+    Bundle,
+    BundleCame,
+    BundleFailed,
+    FreeParameter,
+    KeepBundle,
+    RunBundle,
+    SetBundle,
+    StopBundle,
+    exterior,
+    misfit,
+    place,
+    point_rms,
+    ray_counts,
+)
+from viewer_app.bundle_tasks import tasks
+from viewer_app.state import State
+from viewer_app.tabs import whole_scene
+from viewer_app.values import Ellipsoids, Frusta, Label, PointCloud, Segments
+
+
+def run(state: State, rows: int | None = None, on: bool = False) -> State:
+    """The state after a bundle, or after so many of its rows."""
+    state = update(state, RunBundle(on=on))
+    (task,) = tasks(state)
+    for value in task.call(*task.arguments):
+        state = update(state, task.arrive(value))
+        if rows is not None and len(state.room(Bundle).rows) >= rows:
+            break
+    return state
+
+
+@pytest.fixture(scope="module")
+def done() -> Iterator[State]:
+    from .conftest import make_state
+
+    yield run(make_state())
+
+
+def room(state: State) -> Bundle:
+    return state.room(Bundle)
+
+
+def test_choices_are_checked(state: State) -> None:
+    for name, value in (("model", "fisheye"), ("datum", 3), ("vectors", -1.0), ("alone", "yes"), ("rows", ()), ("nothing", 1)):
+        assert update(state, SetBundle(name, value)) is state
+    now = update(update(state, SetBundle("model", "orthogonal")), SetBundle("datum", "free"))
+    assert (room(now).model, room(now).datum) == ("orthogonal", "free")
+    assert room(update(now, FreeParameter("all"))).free == PARAMETERS
+    two = update(update(update(now, FreeParameter("k1")), FreeParameter("c")), FreeParameter("k9"))
+    assert room(two).free == ("c", "k1") and room(update(two, FreeParameter("c", False))).free == ("k1",)
+
+
+def test_rows_arrive_and_the_transport_follows(done: State) -> None:
+    b = room(done)
+    assert b.task == "" and b.result is not None and b.result.converged and b.rows[-1].stop
+    assert done.last_row == b.steps == len(b.rows) - 1 and done.row == done.last_row
+    assert b.result.sigma0 is not None and 0.7 < b.result.sigma0 < 1.4
+    back = update(done, GoTo(0))
+    assert back.row == 0 and judged(back) is None and judged(done) is b.result
+    first, last = exterior(back, "left"), exterior(done, "left")
+    truth = done.assets.truth["left"]
+    assert first is not None and last is not None
+    assert np.linalg.norm(last.centre - truth.centre) < 0.5
+
+
+def test_residuals_of_the_last_row_are_those_of_the_adjustment(done: State) -> None:
+    b, of = room(done), misfit(done)
+    assert b.result is not None and b.layout is not None and of is not None
+    a, c = np.lexsort((of.point, of.image)), np.lexsort((b.result.point, b.result.image))
+    assert np.allclose(of.v[a], b.result.v[c], atol=1e-9)
+    assert point_rms(b.layout, of) == pytest.approx(
+        [np.sqrt((of.v[of.point == k] ** 2).sum(axis=1).mean()) for k in range(len(b.layout.points))])
+    assert b.block is not None and (ray_counts(b.layout, b.block) == np.bincount(of.point)).all()
+    mine = image_vectors(done, "right")
+    assert mine is not None and np.allclose(mine.v, of.v[of.image == 1])
+    assert image_vectors(done, "nobody") is None
+
+
+def test_points_stand_where_the_bundle_has_them(done: State) -> None:
+    found = offsets(done)
+    assert found is not None
+    control, check, given, off = found
+    assert (len(control), len(check)) == (13, 3)
+    assert np.abs(off[control]).max() < 0.2 and 0 < np.abs(off[check]).max() < 2
+    at = place(done, "G06")
+    assert at is not None and np.linalg.norm(at - done.assets.frame.to_local(done.block.points.xyz[5])) < 2
+    assert room(done).result is not None
+    assert np.allclose(off, room(done).result.off, atol=1e-9, equal_nan=True)  # type: ignore[union-attr]
+
+
+def test_the_scene_is_few_nodes_and_says_its_scales(done: State) -> None:
+    found = whole_scene(done)
+    mine = {path: value for path, value in found.items() if path.startswith("/bundle")}
+    assert not [path for path in found if path.startswith("/images")] and len(mine) < 20
+    assert isinstance(mine["/bundle/images"], Segments) and isinstance(mine["/bundle/points"], PointCloud)
+    check = mine["/bundle/ellipsoids/check"]
+    assert isinstance(check, Ellipsoids) and len(check.centres) == 3
+    words = [v.text for p, v in mine.items() if isinstance(v, Label) and "scale" in p]
+    assert any(f"(× {vector_factor(done):g})" in w for w in words) and any(f"(× {ellipsoid_factor(done):g})" in w for w in words)
+    b = room(done)
+    assert b.result is not None and b.layout is not None
+    k = b.layout.points.index("G06")
+    values = np.sort(np.sqrt(np.linalg.eigvalsh(b.result.covariance[k])))
+    assert np.sort(check.radii[0]) == pytest.approx(2.7955 * ellipsoid_factor(done) * values, rel=1e-3)
+    vectors = mine["/bundle/vectors/check"]
+    found_offsets = offsets(done)
+    assert isinstance(vectors, Segments) and found_offsets is not None
+    assert np.allclose(vectors.points[:, 1] - vectors.points[:, 0], vector_factor(done) * found_offsets[3][found_offsets[1]])
+    both = whole_scene(update(done, SetBundle("alone", False)))
+    assert "/bundle/images" in both and [path for path in both if path.startswith("/points")]
+    assert not [p for p in bundle_scene(update(done, GoTo(0))) if "ellipsoid" in p]  # they hold for the end alone
+
+
+def test_many_images_are_one_batch(done: State) -> None:
+    import viewer_app.bundle_scene as module
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "MANY", 1)
+        assert isinstance(bundle_scene(done)["/bundle/images"], Frusta)
+
+
+def test_colours_tell_residual_and_rays(done: State) -> None:
+    b, of = room(done), misfit(done)
+    assert b.layout is not None and b.block is not None and of is not None
+    rms = point_rms(b.layout, of)
+    colours = point_colours(b.layout, b.block, of, "residual", scale_end(done)).astype(int)
+    worst, best = int(np.argmax(rms)), int(np.argmin(rms))
+    assert tuple(colours[worst]) == (213, 94, 0) and colours[best, 2] > colours[worst, 2]
+    by_rays = point_colours(b.layout, b.block, of, "number of rays", 1.0)
+    assert {tuple(c) for c in by_rays[ray_counts(b.layout, b.block) == 2].tolist()} == {(230, 159, 0)}
+
+
+def test_stop_keeps_the_last_row_and_one_can_go_on(state: State) -> None:
+    half = update(run(state, rows=2), StopBundle())
+    assert not tasks(half) and len(room(half).rows) == 2 and room(half).result is None and "kept" in room(half).progress
+    late = update(half, BundleCame(room(half).serial, room(half).rows[0]))
+    assert late is half  # what comes after a stop is not taken
+    end = run(half, on=True)
+    whole = run(state)
+    assert [r.index for r in room(end).rows] == list(range(len(room(end).rows)))
+    assert room(end).rows[1] is room(half).rows[1]
+    assert room(end).rows[-1].cost == pytest.approx(room(whole).rows[-1].cost, rel=1e-9)
+    assert np.allclose(room(end).rows[-1].x, room(whole).rows[-1].x, atol=1e-4)
+
+
+def test_points_switched_off_only_check(state: State) -> None:
+    off = run(update(state, SwitchPoint("G01")))
+    found, b = offsets(off), room(off)
+    assert b.result is not None and b.layout is not None and found is not None
+    assert b.result.roles[b.layout.points.index("G01")] == "check"
+
+
+def test_a_failure_is_a_sentence(state: State) -> None:
+    from solvers import PhotogrammetryError
+
+    asked = update(update(state, SetBundle("datum", "prior")), RunBundle())
+    (task,) = tasks(asked)
+    with pytest.raises(PhotogrammetryError, match="no image has a prior") as error:
+        list(task.call(*task.arguments))
+    said = update(asked, task.failed(str(error.value)))
+    assert room(said).task == "" and "another datum" in room(said).error
+    assert update(said, BundleFailed(room(said).serial - 1, "late")) is said
+    assert "run it first" in room(update(state, KeepBundle())).error
+    assert "folder" in room(update(replace(run(state, rows=1)), KeepBundle())).error or room(state).rows == ()
+
+
+def test_a_stopped_bundle_is_kept_as_a_run(state: State, tmp_path: Path) -> None:
+    half = update(run(replace(state, assets=replace(state.assets, folder=tmp_path)), rows=2), StopBundle())
+    wanted = update(half, KeepBundle(open=True))
+    (task,) = tasks(wanted)
+    (kept,) = task.call(*task.arguments)
+    end = update(wanted, task.arrive(kept))
+    where = latest_run(tmp_path, "trace.json", "adjust")
+    assert where is not None and room(end).run == str(where) and room(end).opened == 1
+    assert (where / "recording.rrd").stat().st_size > 1000 and "stopped" in (where / "result.json").read_text()
+
+
+def test_the_radial_profile_finds_a_radial_error(done: State) -> None:
+    b = room(done)
+    assert b.layout is not None
+    interior = b.layout.interiors[0]
+    rng = np.random.default_rng(5)
+    pixel = rng.uniform(0, [interior.width - 1, interior.height - 1], (4000, 2))
+    away = (pixel - interior.pixels(interior.principal_point)) * interior.pitch
+    radius = np.linalg.norm(away, axis=1, keepdims=True)
+    v = 0.01 * radius * away / radius + rng.normal(0, 0.1, pixel.shape)  # px: 0.01 a millimetre outwards
+    found = profile(interior, pixel, v)
+    assert (np.abs(found.mean - 0.01 * found.radius) < 4 * found.error + 0.002).all() and found.count.sum() > 3990
+    cells = field(interior, pixel, v)
+    outwards = ((cells.middle - interior.pixels(interior.principal_point)) * cells.mean).sum(axis=1)
+    assert len(cells.count) == 48 and cells.count.sum() == 4000 and (outwards > 0).mean() > 0.9
+    figures = camera_figures(done, 0)
+    assert figures is not None and figures[0].count.sum() <= len(done.block.observations)

@@ -1,0 +1,89 @@
+"""The Bundle tab in a real browser on the demo: choose, run, step, read, keep; waits on state and never on time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from tests.viewer.sessions import Session, demo_session, settle
+from viewer_app.bundle_state import Bundle
+from viewer_app.app import App
+
+pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
+    with demo_session(tmp_path_factory.mktemp("bundle") / "demo") as (app, v):
+        v.open_tab("Bundle")
+        v.page.get_by_role("button", name="Run bundle", exact=True).wait_for()
+        yield app, v
+
+
+@pytest.fixture(autouse=True)
+def nothing_goes_wrong(session: Session) -> Iterator[None]:
+    yield
+    app, v = session
+    settle(app, v)
+    assert v.log.errors == [] and v.log.external == []
+
+
+def room(app: App) -> Bundle:
+    return app.state.room(Bundle)
+
+
+def finished(app: App) -> bool:
+    return not room(app).task and (room(app).result is not None or bool(room(app).error))
+
+
+def test_a_bundle_is_run_drawn_and_stepped(session: Session) -> None:
+    app, v = session
+    v.click_button("Run bundle")
+    v.wait_until(lambda: finished(app), "the bundle", 100)
+    assert room(app).error == "" and room(app).result is not None
+    v.page.get_by_role("status", name="Bundle").get_by_text("39 points").wait_for()
+    v.wait_nodes("/bundle/images", "/bundle/points", "/bundle/vectors/check", "/bundle/chosen/camera")
+    tree = v.page.evaluate("() => Object.keys(window.__viserSceneTree.getState())")
+    assert not [n for n in tree if n.startswith("/images/DSC")]  # drawn in place of those
+    for name in ("Bundle images", "Bundle points", "Variance components"):
+        assert v.page.get_by_role("table", name=name).count() == 1
+    heat = v.page.get_by_role("img", name="Correlations of the exterior orientation")
+    heat.wait_for()
+    rows = room(app).steps
+    v.hotkey("Home")
+    v.wait_until(lambda: app.state.row == 0, "the first row")
+    v.page.get_by_text(f"standard errors hold for row {rows} alone").wait_for()
+    heat.wait_for(state="detached")
+    v.hotkey("End")
+    v.wait_until(lambda: app.state.row == rows, "the last row")
+    heat.wait_for()
+
+
+def test_a_click_in_a_table_chooses_and_flies(session: Session) -> None:
+    app, v = session
+    if room(app).result is None:
+        v.click_button("Run bundle")
+        v.wait_until(lambda: finished(app), "the bundle", 100)
+    v.page.get_by_role("button", name="fly to DSC00233", exact=True).or_(v.page.get_by_title("fly to DSC00233")).last.click()
+    v.wait_until(lambda: app.state.image == "DSC00233", "the image")
+    v.page.get_by_text("Residuals in DSC00233").wait_for()
+    v.page.get_by_role("table", name="Bundle points").get_by_text("C03", exact=True).click()
+    v.wait_until(lambda: app.state.point == "C03", "the point")
+
+
+def test_free_parameters_give_their_correlations_and_an_impossible_datum_a_sentence(session: Session) -> None:
+    app, v = session
+    v.page.get_by_role("button", name="Free interior parameters").or_(v.page.get_by_text("Free interior parameters")).first.click()
+    v.set_checkbox("Free c", True)
+    v.wait_until(lambda: room(app).free == ("c",), "the parameter")
+    v.set_checkbox("Free k1", True)
+    v.wait_until(lambda: room(app).free == ("c", "k1"), "the parameters")
+    v.click_button("Run bundle")
+    v.wait_until(lambda: finished(app) and room(app).result is not None and len(room(app).result.freed) == 2, "it", 100)
+    v.page.get_by_role("img", name="Correlations of the interior orientation").wait_for()
+    v.page.get_by_role("table", name="Interior of nex").get_by_text("k1").wait_for()
+    v.choose("Projection", "orthogonal")
+    v.click_button("Run bundle")
+    v.wait_until(lambda: finished(app) and bool(room(app).error), "the refusal", 100)
+    v.page.get_by_role("alert").get_by_text("orthogonal").wait_for()

@@ -1,0 +1,183 @@
+"""What the Bundle tab says of its result: in a line, warnings, variance components, images, points, suspects, interiors; HTML."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from solvers.cameras import PARAMETERS
+
+from .. import theme
+from ..bridge import Wire
+from ..bundle_scene import judged, offsets, scale_end
+from ..bundle_state import COLOURED, Bundle, Judged, Layout, misfit, point_rms
+from ..matching_scene import RAYS, SCALE
+from ..state import State
+from .widgets import MUTED, css, decimals, esc, swatch, table
+
+ROWS = 60
+"""Rows of a table at most; the worst come first."""
+GROUPS = {"image": "image coordinates", "tie": "tie points", "control": "control coordinates", "prior": "GPS/IMU priors"}
+UNITS = {"c": "mm", "xp": "mm", "yp": "mm", "k1": "mm⁻²", "k2": "mm⁻⁴", "k3": "mm⁻⁶", "p1": "mm⁻¹", "p2": "mm⁻¹"}
+
+
+def summary(state: State) -> str:
+    """How it goes or how it ended, and everything a person should know of it."""
+    room = state.room(Bundle)
+    lines = [f'<div role="status" aria-label="Bundle">{_headline(room)}</div>']
+    if room.error:
+        lines.append(f'<div role="alert" style="color:{css(theme.RESIDUAL)}">{esc(_sentence(room.error))}</div>')
+    if room.rows and room.block is not state.block:
+        lines.append(f"<div {MUTED}>Measurements or points have changed since; run the bundle again.</div>")
+    elif room.rows and room.asked[:-1] != room.options:
+        lines.append(f"<div {MUTED}>The choices above are not those of this bundle; run it again.</div>")
+    if room.run:
+        lines.append(f"<div {MUTED}>Kept in {esc(room.run)}</div>")
+    if room.result is not None:
+        lines += [f"<div>⚠ {esc(_sentence(w))}</div>" for w in room.result.warnings]
+        if state.row < room.steps:
+            lines.append(f"<div {MUTED}>Row {state.row} is shown; standard errors hold for row {room.steps} alone.</div>")
+    return "".join(lines)
+
+
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:] + ("" if text.endswith((".", "!", "?")) else ".")
+
+
+def _headline(room: Bundle) -> str:
+    if room.result is None:
+        if room.progress:
+            return esc(room.progress)
+        return "" if room.rows or room.error else f"<span {MUTED}>Adjust all images together: choose, then Run bundle.</span>"
+    r, layout = room.result, room.layout
+    sigma0 = "undetermined" if r.sigma0 is None else f"{r.sigma0:.3f}"
+    end = "" if r.converged else " <b>not converged</b>"
+    return (f"<b>σ0 {sigma0}</b>, rms {r.rms_px:.3g} px, {len(r.values)} images, {len(layout.points) if layout else 0} points, "
+            f"redundancy {r.dof}, {room.steps} iterations{end}")
+
+
+def components(result: Judged) -> str:
+    """σ0 and redundancy of every kind of observation, and how control and check points fit."""
+    rows = [("", (esc(GROUPS.get(k, k)), "–" if s is None else f"{s:.3f}", f"{r:.1f}")) for k, (s, r) in result.groups.items()]
+    found = table(("observations", "σ0", "redundancy"), rows, "Variance components")
+    for words, rms in (("control points, rms", result.control_rms), ("check points, rms", result.check_rms)):
+        if rms is not None:
+            found += f"<div>{words} <b>{' '.join(_metres(v) for v in rms)}</b> m in X, Y, Z</div>"
+    return found
+
+
+def _metres(value: float) -> str:
+    return "–" if not np.isfinite(value) else f"{value:.4f}" if abs(value) < 1 else f"{value:.3f}"
+
+
+def legend(state: State) -> str:
+    """What the colours of the points mean."""
+    room = state.room(Bundle)
+    if not room.rows or not room.draw_points:
+        return ""
+    if room.colour == COLOURED[1]:
+        parts = " &nbsp;".join(f"{swatch(c)}{n}{'+' if n == max(RAYS) else ''}" for n, c in RAYS.items())
+        return f"<div>seen in {parts} images</div>"
+    if room.colour == COLOURED[0]:
+        of = misfit(state)
+        if of is None:
+            return f"<div {MUTED}>Residuals come with the last row.</div>"
+        bar = ",".join(css((int(r), int(g), int(b))) for r, g, b in SCALE)
+        when = "" if of.live else f" <span {MUTED}>(of the last row)</span>"
+        style = f"display:inline-block;width:120px;height:.8em;background:linear-gradient(90deg,{bar})"
+        return (f'<div>residual 0 <span style="{style}"></span> {scale_end(state):.2f} px and more{when}</div>')
+    return ""
+
+
+def marks(state: State) -> str:
+    """What vectors and ellipsoids mean."""
+    room = state.room(Bundle)
+    words = []
+    if room.draw_vectors and room.rows:
+        words.append(f"{swatch(theme.CONTROL)}correction of control {swatch(theme.RESIDUAL)}error of check points")
+    result = judged(state)
+    if room.draw_ellipsoids and result is not None:
+        words.append(f"ellipsoids: 95 % (factor 2.796, χ² with 3 degrees of freedom), a priori from the given standard errors; "
+                     f"redundancy of the adjustment {result.dof}")
+    return "".join(f"<div {MUTED}>{w}</div>" for w in words)
+
+
+def images_table(state: State, result: Judged, layout: Layout, wire: Wire) -> str:
+    """Every image: points, rms, σ0 and standard errors, the worst σ0 first; a click chooses it and flies there."""
+    order = np.argsort(-np.nan_to_num(result.image_sigma0), kind="stable")[:ROWS]
+    rows = []
+    for k in order:
+        name = layout.images[k]
+        sigma = np.sqrt(np.diag(result.exterior[k]))
+        bold = 'style="font-weight:600;cursor:pointer"' if name == state.image else ""
+        attributes = wire.attributes("fly-image", name, f"fly to {name}")
+        attributes = attributes.replace('style="cursor:pointer"', bold) if bold else attributes
+        angle = np.degrees(sigma[3:])
+        rows.append((attributes, (esc(name), str(int(result.seen[k])), f"{result.rms[k]:.2f}",
+                                  "–" if not np.isfinite(result.image_sigma0[k]) else f"{result.image_sigma0[k]:.2f}",
+                                  *(f"{s:.2g}" for s in sigma[:3]), *(f"{a:.2g}" for a in angle))))
+    head = ("image", "pts", "rms px", "σ0", "sX m", "sY m", "sZ m", "sω °", "sφ °", "sκ °")
+    return _titled(f"{len(layout.images)} images", len(order), len(layout.images),
+                   table(head, rows, "Bundle images", 190, 10))
+
+
+def points_table(state: State, result: Judged, layout: Layout, wire: Wire) -> str:
+    """Control and check points by how far off, then tie points by residual; a click flies there."""
+    roles, of = np.array(result.roles), misfit(state)
+    rms = point_rms(layout, of) if of is not None else np.full(len(roles), np.nan)
+    found = offsets(state)
+    off = result.off if found is None else found[3]
+    given = np.isin(roles, ("control", "check"))
+    far = np.nan_to_num(np.linalg.norm(off, axis=1))
+    order = np.lexsort((-np.nan_to_num(rms), -far * given, ~given))[:ROWS]
+    rows = []
+    for k in order:
+        name = layout.points[k]
+        d = off[k] if given[k] else np.full(3, np.nan)
+        w = result.point_w[k]
+        worst = float(np.abs(w[np.isfinite(w)]).max(initial=0.0))
+        sigma = np.sqrt(np.diag(result.covariance[k]))
+        mark = swatch({"control": theme.CONTROL, "check": theme.CHECK}.get(str(roles[k]), theme.INITIAL))
+        bold = ' style="font-weight:600;cursor:pointer"' if name == state.point else ""
+        attributes = wire.attributes("fly-point", name, f"fly to {name}")
+        attributes = attributes.replace('style="cursor:pointer"', bold) if bold else attributes
+        rows.append((attributes, (f"{mark}{esc(name)}", str(int(result.rays[k])), f"{rms[k]:.2f}" if np.isfinite(rms[k]) else "–",
+                                  *("" if not np.isfinite(v) else f"{1000 * v:+.1f}" for v in d), f"{worst:.1f}" if worst else "",
+                                  *(f"{1000 * s:.1f}" for s in sigma))))
+    head = ("point", "rays", "rms px", "dX mm", "dY", "dZ", "|w|", "sX mm", "sY", "sZ")
+    return _titled("Points, adjusted − given", len(order), len(roles), table(head, rows, "Bundle points", 230, 10))
+
+
+def suspects_table(result: Judged, wire: Wire) -> str:
+    """Observations with |w| > 4, the worst first; a click flies to the point."""
+    if not result.suspects:
+        return f"<div {MUTED}>No suspect observation: every |w| is below 4.</div>"
+    rows = []
+    for s in result.suspects:
+        where = s.get("image") or "coordinates"
+        size = s.get("residual_px") or s.get("off_m")
+        unit = "px" if "residual_px" in s else "m"
+        rows.append((wire.attributes("fly-point", str(s.get("point", "")), f"fly to {s.get('point', '')}"),
+                     (esc(s.get("point", "")), esc(where), f"{s['w']:.1f}",
+                      "" if size is None else " ".join(f"{v:+.3g}" for v in size) + f" {unit}")))
+    return "<div><b>Suspects</b></div>" + table(("point", "in", "|w|", "misfit"), rows, "Suspects", 160)
+
+
+def interior_table(result: Judged, layout: Layout) -> str:
+    """Interior orientations that were adjusted, with their standard errors."""
+    sigma = dict(zip(result.freed, np.sqrt(np.diag(result.interior_covariance)), strict=True)) if result.freed else {}
+    found = ""
+    for name, interior in zip(layout.cameras, result.interiors, strict=True):
+        free = [p for p in PARAMETERS if (name, p) in sigma]
+        rows = []
+        for p in free[:10]:
+            value, s = float(getattr(interior, p)), float(sigma[name, p])
+            text = f"{value:.{decimals(s)}f}" if p in ("c", "xp", "yp") else f"{value:.4e}"
+            rows.append(("", (f"{p} <span {MUTED}>{UNITS.get(p, '')}</span>", text, f"{s:.2g}")))
+        if rows:
+            found += table((f"camera {esc(name)}", "value", "σ"), rows, f"Interior of {name}")
+    return found
+
+
+def _titled(title: str, shown: int, count: int, body: str) -> str:
+    more = f" <span {MUTED}>· the worst {shown} of {count}</span>" if shown < count else ""
+    return f"<div><b>{title}</b>{more}</div>{body}"
