@@ -87,7 +87,7 @@ def compose_photos(registration: Registration, photos: Mapping[str, Path], out: 
     out = _must_be_writable(Path(out))
     start, files = time.perf_counter(), {n: Path(photos[n]) for n in registration.names}
     placed = [_placed(registration, k, files[n]) for k, n in enumerate(registration.names)]
-    ground, surface = _ground(registration, placed, request)
+    ground, surface = ground_of(registration, placed, request)
     folder = TileFolder(out, _plan(registration, placed, files, request))
     store = PhotoStore(folder.folder / "photos", files)
     options = ComposeOptions(request.gsd, request.resample, request.blend, request.seams, request.gain)
@@ -138,6 +138,12 @@ def _placed(registration: Registration, k: int, file: Path) -> Placed:
     if abs(width * interior.height - height * interior.width) > 0.01 * width * interior.height:
         raise BadProject(f"{file}: {width} x {height} pixels do not have the shape of its camera's {interior.width} x "
                          f"{interior.height}; correct the camera or name the right photo")
+    return placed_at(registration, k, (width, height))
+
+
+def placed_at(registration: Registration, k: int, size: tuple[int, int]) -> Placed:
+    """A photo with its place, in the pixels of a picture of this size (width, height) that shows all of it."""
+    interior, (width, height) = registration.interiors[k], size
     s = np.array([width / interior.width, height / interior.height])
     if (s != 1).any():
         pitch = interior.pitch / s
@@ -148,8 +154,8 @@ def _placed(registration: Registration, k: int, file: Path) -> Placed:
     return Placed(registration.names[k], interior, warp=zoom @ registration.warps[k])
 
 
-def _ground(registration: Registration, placed: list[Placed], request: ComposeRequest,
-            ) -> tuple[Ground, Callable[[tuple[float, float, float, float]], Surface] | None]:
+def ground_of(registration: Registration, placed: list[Placed], request: ComposeRequest,
+              ) -> tuple[Ground, Callable[[tuple[float, float, float, float]], Surface] | None]:
     """The surface, whole but coarse where it is a height grid, and how its parts are read."""
     plane = Ground(registration.frame, MosaicPlane(*map(float, registration.plane)))
     if request.surface == "plane":

@@ -131,7 +131,22 @@ def mosaic_of(source: Path | str, out: Path | str, request: MosaicRequest | None
 
 def registered(source: Path, request: MosaicRequest, report: Callable[[Progress], object] | None = None) -> Registered:
     """The registration of the photos of a project or folder, with everything that judges it."""
-    site = _site(source, request, report)
+    return registered_site(_site(source, request, report), request)
+
+
+def registered_block(block: Block, folder: Path, request: MosaicRequest) -> Registered:
+    """The registration of a project's photos by the measurements of `block`, edited or not; its tie points must be there.
+
+    Raises PhotogrammetryError.
+    """
+    photos = {i.name: photo_path(folder, block, i.name) for i in block.images if i.file is not None}
+    if len(photos) < 2:
+        raise BadProject(f"{folder}: {len(photos)} of its images have photos; a mosaic needs two and more")
+    return registered_site(_ready(block, photos, {}, (), True), request)
+
+
+def registered_site(site: Site, request: MosaicRequest) -> Registered:
+    """The registration of a site's photos, with everything that judges it."""
     how = RegistrationRequest(request.kind, request.register, _model(site, request), request.plane, request.reference)
     registration = register(site.block, how, _bundle)
     px = check_ties(registration, tuple(i.name for i in site.block.images), site.held)
@@ -190,7 +205,7 @@ def _site(source: Path, request: MosaicRequest, report: Callable[[Progress], obj
     else:
         raise BadProject(f"{source}: there is no such project or folder; give a project or a folder of photos")
     failed: dict[str, str] = {}
-    if not _has_ties(block):
+    if not has_ties(block):
         with tempfile.TemporaryDirectory() as scratch:
             tied = find_ties(source, Path(scratch) / "ties.csv", workers=request.compose.workers,
                              scheduler=request.compose.scheduler, report=report)
@@ -198,6 +213,11 @@ def _site(source: Path, request: MosaicRequest, report: Callable[[Progress], obj
         failed = dict(tied.ties.failed)
         block = with_ties(block, tied.ties, images, ties_in_format(tied.ties, block))
         notes = (*notes, _ties_said(tied.ties))
+    return _ready(block, photos, failed, notes, calibrated)
+
+
+def _ready(block: Block, photos: dict[str, Path], failed: dict[str, str], notes: tuple[str, ...], calibrated: bool) -> Site:
+    """The site of a block that has its tie points."""
     onboard, said = _recorded(block, photos)
     block, held = _held_out(block)
     return Site(block, held, photos, onboard, failed, (*notes, *said), calibrated)
@@ -238,7 +258,7 @@ def _folder(source: Path, crs: str | None) -> tuple[Block, dict[str, Path], tupl
     return block, {names[k]: files[k] for k in good}, tuple(notes), calibrated
 
 
-def _has_ties(block: Block) -> bool:
+def has_ties(block: Block) -> bool:
     """Whether the block's points tie most of its photos already: six shared ones in each."""
     of = block.observations
     rays = np.bincount(of.point, minlength=len(block.points)) if len(of) else np.zeros(len(block.points), int)
@@ -310,24 +330,40 @@ def _headings(r: Registration, site: Site) -> tuple[dict[str, Any], ...]:
     return tuple(out)
 
 
-def _check_points(r: Registration, block: Block) -> float | None:
-    """Rms distance [m] of check points on the mosaic from where they are, heights taken into account where photos allow it."""
-    of, off = block.observations, []
+class Offsets(NamedTuple):
+    """Points with known coordinates on a mosaic. names, roles (k,); xyz (k, 3): where they are, local; off (k, 2): the mean place
+    of the photos that show them minus that [unit]; photos (k,): how many."""
+
+    names: tuple[str, ...]
+    roles: tuple[str, ...]
+    xyz: np.ndarray
+    off: np.ndarray
+    photos: np.ndarray
+
+
+def point_offsets(r: Registration, block: Block, roles: tuple[str, ...] = ("control", "check")) -> Offsets:
+    """Where a mosaic shows points of known coordinates, against where they are; heights are taken into account where photos
+    allow it (exterior orientations). None on an uncontrolled mosaic, which has no map."""
+    of, found = block.observations, []
     names = {n: k for k, n in enumerate(r.names)}
-    for p in np.flatnonzero(np.array(block.points.role) == "check"):
-        xyz = block.points.xyz[p]
-        if not np.isfinite(xyz).all() or r.level == "uncontrolled":
-            continue
-        at, local = [], r.frame.to_local(xyz)
+    wanted = np.isin(np.array(block.points.role, dtype=str), roles) & np.isfinite(block.points.xyz).all(axis=1)
+    for p in np.flatnonzero(wanted) if r.level != "uncontrolled" else ():
+        at, local = [], r.frame.to_local(block.points.xyz[p])
+        level = replace(r, plane=np.array([local[2], 0.0, 0.0])) if r.kind == "exterior" else r
         for row in np.flatnonzero(of.point == p):
             k = names.get(block.images[of.image[row]].name)
-            if k is None:
-                continue
-            level = replace(r, plane=np.array([local[2], 0.0, 0.0])) if r.kind == "exterior" else r
-            at.append(level.on_plane(k, of.pixel[row]))
+            if k is not None:
+                at.append(level.on_plane(k, of.pixel[row]))
         if at:
-            off.append(np.linalg.norm(np.mean(at, axis=0) - local[:2]))
-    return float(np.sqrt(np.mean(np.square(off)))) if off else None
+            found.append((block.points.names[p], block.points.role[p], local, np.mean(at, axis=0) - local[:2], len(at)))
+    names_, roles_, xyz, off, photos = zip(*found, strict=True) if found else ((),) * 5
+    return Offsets(names_, roles_, np.array(xyz).reshape(-1, 3), np.array(off).reshape(-1, 2), np.array(photos, int))
+
+
+def _check_points(r: Registration, block: Block) -> float | None:
+    """Rms distance [m] of check points on the mosaic from where they are."""
+    off = point_offsets(r, block, ("check",)).off
+    return float(np.sqrt(np.mean(np.sum(off**2, axis=1)))) if len(off) else None
 
 
 def _pixel(r: Registration, k: int) -> float:
@@ -380,5 +416,5 @@ def _numbers(values: np.ndarray) -> list[float | None]:
     return [float(v) if np.isfinite(v) else None for v in values]
 
 
-__all__ = ["MosaicRequest", "Mosaicked", "Registered", "Site", "mosaic_of", "rectify_photo", "registered",
-           "registered_json"]
+__all__ = ["MosaicRequest", "Mosaicked", "Offsets", "Registered", "Site", "has_ties", "mosaic_of", "point_offsets",
+           "rectify_photo", "registered", "registered_block", "registered_json"]

@@ -15,7 +15,21 @@ from solvers import Exterior
 from solvers.geometry import to_opencv
 
 from .tones import sent
-from .values import Ellipsoid, Ellipsoids, Frusta, Frustum, Label, Mesh, Plane, PointCloud, Scene, Segments, Value, linear
+from .values import (
+    Ellipsoid,
+    Ellipsoids,
+    Frusta,
+    Frustum,
+    Label,
+    Mesh,
+    Picture,
+    Plane,
+    PointCloud,
+    Scene,
+    Segments,
+    Value,
+    linear,
+)
 
 
 class Painter:
@@ -285,6 +299,50 @@ def _add_mesh(scene: viser.SceneApi, path: str, value: Mesh) -> list[Any]:
     return [scene.add_mesh_trimesh(path, mesh, position=(0.0, 0.0, -value.lower), cast_shadow=False, receive_shadow=False)]
 
 
+def _add_picture(scene: viser.SceneApi, path: str, value: Picture) -> list[Any]:
+    """viser spreads a picture over the x and y axes of its node, y downwards."""
+    rgba = np.ascontiguousarray(value.rgba)
+    if value.opacity < 1:
+        rgba = rgba.copy()
+        rgba[..., 3] = np.round(rgba[..., 3] * value.opacity)
+    solid = bool((rgba[..., 3] == 255).all())
+    wxyz, position, width, height = _picture_pose(value)
+    return [
+        scene.add_image(
+            path,
+            np.ascontiguousarray(rgba[..., :3]) if solid else rgba,
+            width,
+            height,
+            format="jpeg" if solid else "png",
+            jpeg_quality=88,
+            cast_shadow=False,
+            receive_shadow=False,
+            wxyz=wxyz,
+            position=position,
+        )
+    ]
+
+
+def _picture_pose(value: Picture) -> tuple[np.ndarray, np.ndarray, float, float]:
+    """Quaternion and middle of a picture, its width and height [m]."""
+    top_left, top_right, _, bottom_left = np.asarray(value.corners, float)
+    x, y = top_right - top_left, bottom_left - top_left
+    width, height = float(np.linalg.norm(x)), float(np.linalg.norm(y))
+    x = x / width
+    y = y / height - x * float(x @ y) / height
+    y = y / np.linalg.norm(y)
+    turn = np.stack([x, y, np.cross(x, y)], axis=1)
+    return tf.SO3.from_matrix(turn).wxyz, np.asarray(value.corners, float).mean(axis=0), width, height
+
+
+def _change_picture(nodes: list[Any], old: Picture, new: Picture) -> bool:
+    if old.rgba is not new.rgba or old.opacity != new.opacity:
+        return False
+    node = nodes[0]
+    node.wxyz, node.position, node.render_width, node.render_height = _picture_pose(new)
+    return True
+
+
 def _add_label(scene: viser.SceneApi, path: str, value: Label) -> list[Any]:
     return [scene.add_label(path, value.text, position=value.position, font_screen_scale=value.size, anchor=value.anchor)]
 
@@ -322,6 +380,7 @@ ADD: dict[type, Callable[[viser.SceneApi, str, Any], list[Any]]] = {
     Ellipsoids: _add_ellipsoids,
     Plane: _add_plane,
     Mesh: _add_mesh,
+    Picture: _add_picture,
     Label: _add_label,
 }
 CHANGE: dict[type, Callable[[list[Any], Any, Any], bool]] = {
@@ -331,5 +390,6 @@ CHANGE: dict[type, Callable[[list[Any], Any, Any], bool]] = {
     PointCloud: _change_cloud,
     Ellipsoid: _change_ellipsoid,
     Plane: _change_plane,
+    Picture: _change_picture,
     Label: _change_label,
 }

@@ -97,6 +97,16 @@ class Mesh:
 
 
 @dataclass(frozen=True, eq=False)
+class Picture:
+    """A picture (h, w, 4) uint8 spread over a rectangle: corners (4, 3) of its outer edges, top left, top right, bottom right,
+    bottom left."""
+
+    corners: np.ndarray
+    rgba: np.ndarray
+    opacity: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
 class Label:
     """Text at a position, of constant size on the screen."""
 
@@ -138,6 +148,6 @@ def linear(colours: np.ndarray) -> np.ndarray:
     return np.round(255 * np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)).astype(np.uint8)
 
 
-Value = Frustum | Frusta | Segments | PointCloud | Ellipsoid | Ellipsoids | Plane | Mesh | Label
+Value = Frustum | Frusta | Segments | PointCloud | Ellipsoid | Ellipsoids | Plane | Mesh | Picture | Label
 Scene = dict[str, Value]
 """Entity path -> value; the same paths in viser and rerun."""

@@ -43,9 +43,10 @@ class Registration:
     size). homographies (n, 3, 3), kind "plane": mosaic plane X, Y, 1 -> UNDISTORTED pixel col, row, 1 up to scale, positive
     where the photo sees the plane. exteriors, kind "exterior": in the local frame [m]. plane (3,): z0, zx, zy of the mosaic
     plane Z = z0 + zx X + zy Y, local. frame: the local frame; local + frame.origin (or frame.to_map) is the map. unit: of X
-    and Y, "m", or "px" of the reference photo where nothing gives the scale. covariance (n, k, k): of each photo, k = 8 plane
-    coefficients a1 b1 c1 a2 b2 c2 a3 b3 over undistorted pixels (see `coefficients`), or k = 6 centre and left rotation vector;
-    a priori. trace: every step. corner_sigma (n,): predicted standard error [unit] of the photo's corners on the mosaic, the
+    and Y, "m", or "px" of the reference photo where nothing gives the scale. covariance (n, k, k): of each photo, k = 8 for
+    plane coefficients: d11 d12 d13 d21 d22 d23 d31 d32 of H <- (I + D) H, H from the mosaic plane to ideal photo coordinates
+    over c (x right, y up), or k = 6 centre and left rotation vector; NaN of a sequential registration. trace: every step.
+    corner_sigma (n,): predicted standard error [unit] of the photo's corners on the mosaic, the
     noise alone. unused: photos that take no part, and why. rejected: control points left out. rms_px:
     of the tie points.
     """
