@@ -226,6 +226,7 @@ def _conjugate(state: State, room: Mosaic, made: Made, at: np.ndarray) -> State:
         matching.Pair("left", first),
         matching.Pair("right", others[0]),
         matching.MatchPoint(None),
+        matching.LookAt("left", col, row, 600.0),  # close up: only a point measured right here is meant by the click
         matching.Click("left", col, row),
     ):
         state = update(state, step)
