@@ -13,6 +13,7 @@ from numba import njit
 F32 = np.float32
 ONE, TWO, THREE, FOUR = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
 ORIGIN = 96  # px, the local frame starts this far before the start pixel
+BENT = 1.0  # degrees of freedom that three second derivatives take from smoothed noise
 RIVALS = 5  # other peaks kept for each correlation
 FAST = {"contract", "reassoc", "arcp", "nsz"}  # NaN keeps its meaning: it marks pixels without data
 
@@ -264,6 +265,35 @@ def _dot(a, b):
 
 
 @helper
+def _without_blur(error, value, side, bend):
+    """The residuals without what one image is sharper than the other: their part along the template's second derivatives.
+
+    Such a difference (focus, scale) is symmetric and moves no point, but would pass for noise.
+    """
+    n = side * side
+    for j in range(side):
+        y = min(max(j, 1), side - 2)
+        for i in range(side):
+            k = y * side + min(max(i, 1), side - 2)
+            twice = F32(2) * value[k]
+            bend[0, j * side + i] = value[k - 1] + value[k + 1] - twice
+            bend[1, j * side + i] = value[k - side] + value[k + side] - twice
+            bend[2, j * side + i] = value[k - side - 1] + value[k + side + 1] - value[k - side + 1] - value[k + side - 1]
+    for p in range(3):
+        a = bend[p]
+        for q in range(p):
+            b = bend[q]
+            size = _dot(b, b)
+            along = _dot(a, b) / size if size > 0 else F32(0)
+            for k in range(n):
+                a[k] -= along * b[k]
+        size = _dot(a, a)
+        along = _dot(a, error) / size if size > 0 else F32(0)
+        for k in range(n):
+            error[k] -= along * a[k]
+
+
+@helper
 def _debiased(normal, variance, slope_energy, half, out):
     """The normal matrix without what the noise of the slopes adds to its diagonal."""
     side = 2 * half + 1
@@ -327,7 +357,7 @@ def match_batch(template, target, at, start, shape, half, taps, extra, noise, li
     """Inverse compositional least squares matching of many points.
 
     template, target: spline coefficients; at, start (N, 2) col, row; shape (N, 2, 2) template -> target offsets.
-    taps: the node values' smoothing kernel; noise: value energy, slope energy, laplacian energy of white noise, quantum.
+    taps: the node values' smoothing kernel; noise: energies of white noise (value, slope, laplacian, value after extra, smoothed slope), floor of its variance.
     limits: iterations, step px, largest sigma px, least score, largest move px.
     out (N, 16): col, row, a11, a12, a21, a22, r0, r1, score, vxx, vxy, vyy, noise, iterations, kept (bits),
     status.
@@ -351,10 +381,11 @@ def match_batch(template, target, at, start, shape, half, taps, extra, noise, li
     cofactor = np.empty((6, 6))
     inverse = np.empty((6, 6))
     step = np.empty(6)
+    bend = np.empty((3, n), np.float32)
     keep = np.empty(6, np.bool_)
     height, width = template.shape
     tall, broad = target.shape
-    value_energy, slope_energy, laplace_energy, rough_energy, floor_variance = noise
+    value_energy, slope_energy, laplace_energy, rough_energy, spread_energy, floor_variance = noise
     for index in range(at.shape[0]):
         result = out[index]
         for k in range(16):
@@ -447,7 +478,9 @@ def match_batch(template, target, at, start, shape, half, taps, extra, noise, li
             gain = _dot(wide_x, wide_x) / _dot(slope_x, slope_x)
             kept = _count(keep)
             inner = (side - 2) * (side - 2)
-            variance = _rough_energy(other, side, extra, wide) * inner / max(inner * rough_energy - kept * gain * gain - 2, 1.0)
+            _without_blur(other, value, side, bend)
+            freedom = inner * rough_energy - kept * gain * gain - 2 - BENT
+            variance = _rough_energy(other, side, extra, wide) * inner / max(freedom, 1.0)
             result[12] = math.sqrt(variance)
             variance = max(variance, 2 * floor_variance)
             status = _texture(normal, 0.5 * variance, slope_energy, n, value_energy, limits[2])
@@ -479,6 +512,12 @@ def match_batch(template, target, at, start, shape, half, taps, extra, noise, li
         _spread(slope_x, side, taps, wide, wide_x)
         _spread(slope_y, side, taps, wide, wide_y)
         q_xx, q_xy, q_yy = _dot(wide_x, wide_x), _dot(wide_x, wide_y), _dot(wide_y, wide_y)
+        # Noise of the slopes times the template's own noise, the same noise, sums up to nothing but its rim.
+        for p in range(6):
+            own = 0.25 * variance * spread_energy * (n if p % 3 == 0 else n * half * (half + 1) / 3.0)
+            q_xx -= own * inverse[0, p] * inverse[0, p]
+            q_xy -= own * inverse[0, p] * inverse[3, p]
+            q_yy -= own * inverse[3, p] * inverse[3, p]
         result[9] = variance * (a11 * a11 * q_xx + 2 * a11 * a12 * q_xy + a12 * a12 * q_yy)
         result[10] = variance * (a11 * a21 * q_xx + (a11 * a22 + a12 * a21) * q_xy + a12 * a22 * q_yy)
         result[11] = variance * (a21 * a21 * q_xx + 2 * a21 * a22 * q_xy + a22 * a22 * q_yy)

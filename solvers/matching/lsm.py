@@ -102,7 +102,7 @@ def _adjust(template: Photo, target: Photo, at: np.ndarray, start: np.ndarray, m
     match_batch = kernels("solvers.matching._kernels", "image matching").match_batch
     gains = smoothing(template.smooth)
     quantum = max(template.quantum, target.quantum)
-    noise = (gains.value, gains.slope, gains.laplacian, gains.extra_value, quantum**2 / 12)
+    noise = (gains.value, gains.slope, gains.laplacian, gains.extra_value, gains.spread, quantum**2 / 12)
     limits = (options.max_iterations, options.step, options.max_sigma, options.min_score, options.max_move)
     out = np.empty((len(at), 16))
 

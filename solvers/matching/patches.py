@@ -34,7 +34,7 @@ class Photo:
 @dataclass(frozen=True)
 class Smoothing:
     """How white noise of variance 1 passes: taps (m,) of the kernel between pixel and spline value at the pixel,
-    and the variances of value, slope, second difference and of the value after `extra` (3,)."""
+    and the variances of value, slope, second difference, of the value after `extra` (3,) and of the slope smoothed by taps."""
 
     taps: np.ndarray
     extra: np.ndarray
@@ -42,6 +42,7 @@ class Smoothing:
     slope: float
     laplacian: float
     extra_value: float
+    spread: float
 
 
 def gray(image: np.ndarray) -> np.ndarray:
@@ -91,6 +92,7 @@ def smoothing(smooth: float) -> Smoothing:
         slope=float((slope**2).sum()) * energy,
         laplacian=float((np.convolve(value, [1, -2, 1]) ** 2).sum()) ** 2,
         extra_value=float((np.convolve(value, extra) ** 2).sum()) ** 2,
+        spread=float((np.convolve(slope, value) ** 2).sum() * (np.convolve(value, value) ** 2).sum()),
     )
 
 
