@@ -518,6 +518,8 @@ def match_batch(template, target, at, start, shape, half, taps, extra, noise, li
             q_xx -= own * inverse[0, p] * inverse[0, p]
             q_xy -= own * inverse[0, p] * inverse[3, p]
             q_yy -= own * inverse[3, p] * inverse[3, p]
+        # Seen through a smaller image noise is coarser: the target's share grows with the template's area over its own.
+        variance *= (1 + ratio * ratio / abs(a11 * a22 - a12 * a21)) / (1 + ratio * ratio)
         result[9] = variance * (a11 * a11 * q_xx + 2 * a11 * a12 * q_xy + a12 * a12 * q_yy)
         result[10] = variance * (a11 * a21 * q_xx + (a11 * a22 + a12 * a21) * q_xy + a12 * a22 * q_yy)
         result[11] = variance * (a21 * a21 * q_xx + 2 * a21 * a22 * q_xy + a22 * a22 * q_yy)
