@@ -312,7 +312,8 @@ def _texture(normal, variance, slope_energy, count, gain, limit):
     mean, half_gap = 0.5 * (a + c), math.hypot(0.5 * (a - c), b)
     least, most = mean - half_gap, mean + half_gap
     need = 2.0 * variance * gain / (limit * limit)
-    need = max(need, 1.5 * bias)  # where noise has as much slope as texture, least squares follows the noise
+    # Where noise has as much slope as texture, least squares follows the noise; small windows tell the two apart less surely.
+    need = max(need, (1.0 + 20.0 / math.sqrt(count)) * bias)
     if not most > need or not most > 1e-12 * count:
         return NO_TEXTURE
     if not least > need or least < 1e-4 * most:

@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from solvers.errors import Unsupported
 from solvers.matching import LsmOptions, Status, match_lsm, match_ncc, prepare
@@ -60,6 +61,22 @@ def test_noise_stays_near_the_cramer_rao_bound_and_the_reported_sigmas_tell_it()
     normal = np.linalg.solve(r.covariance, error[..., None])[..., 0]
     chi = (error * normal).sum(1)
     assert abs(chi.mean() - 2) < 0.5
+
+
+@pytest.mark.parametrize("scale", [0.85, 1.0, 1.15])
+def test_sigmas_hold_at_any_scale_and_where_one_photo_is_softer(scale: float):
+    shape, error, sigma = scale * np.eye(2), [], []
+    clean = [pair(9, 0.0, shape, (130 - 130 * scale,) * 2)[k] for k in (0, 1)]
+    clean[1] = gaussian_filter(clean[1], 0.4)
+    _, _, at, truth = pair(9, 0.0, shape, (130 - 130 * scale,) * 2)
+    rng = np.random.default_rng(10)
+    for _ in range(4):
+        left, right = clean[0] + rng.normal(0, 4, clean[0].shape), clean[1] + rng.normal(0, 4, clean[1].shape)
+        r = match_lsm(left, right, at, truth + 0.2, shape=shape)
+        error.append(r.pixel - truth)
+        sigma.append(r.sigma)
+    ratio = np.sqrt(np.nanmean(np.square(sigma)) / np.nanmean(np.square(error)))
+    assert 0.92 < ratio < 1.09
 
 
 def windows(seed: int, at: np.ndarray):

@@ -60,7 +60,8 @@ def test_a_template_is_warped_by_the_predicted_affine():
     assert r.score.min() > 0.999
 
 
-@pytest.mark.parametrize(("window", "blur", "texture"), [(21, 3.0, 2.0), (21, 6.0, 6.0), (31, 6.0, 3.0), (15, 6.0, 6.0)])
+@pytest.mark.parametrize(("window", "blur", "texture"), [(21, 3.0, 2.0), (21, 6.0, 6.0), (31, 6.0, 3.0), (15, 6.0, 6.0),
+                                                         (15, 3.0, 2.0), (11, 6.0, 6.0), (11, 6.0, 12.0), (11, 3.0, 4.0)])
 def test_texture_below_its_noise_gives_no_confident_wrong_place(window: int, blur: float, texture: float):
     rng = np.random.default_rng(window + int(blur))
     clean = gaussian_filter(rng.normal(size=(500, 500)), blur)
