@@ -358,7 +358,8 @@ def match_batch(template, target, at, start, shape, half, taps, extra, noise, li
     """Inverse compositional least squares matching of many points.
 
     template, target: spline coefficients; at, start (N, 2) col, row; shape (N, 2, 2) template -> target offsets.
-    taps: the node values' smoothing kernel; noise: energies of white noise (value, slope, laplacian, value after extra, smoothed slope), floor of its variance.
+    taps: the node values' smoothing kernel; noise: energies of white noise
+    (value, slope, laplacian, value after extra, smoothed slope) and the floor of its variance.
     limits: iterations, step px, largest sigma px, least score, largest move px.
     out (N, 16): col, row, a11, a12, a21, a22, r0, r1, score, vxx, vxy, vyy, noise, iterations, kept (bits),
     status.
