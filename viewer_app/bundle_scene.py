@@ -8,6 +8,8 @@ from solvers import Block, Exterior
 from solvers.adjustment import Iteration
 
 from . import theme
+from .acting import Action
+from .actions import ChooseImage, ChoosePoint
 from .bundle_state import (
     COLOURED,
     FACTORS,
@@ -66,6 +68,39 @@ def judged(state: State) -> Judged | None:
     """What the bundle is worth, at its last row; None at the others, where it does not hold."""
     room = state.room(Bundle)
     return room.result if state.row >= len(room.rows) - 1 else None
+
+
+def click(state: State, origin: np.ndarray, direction: np.ndarray, tolerance: float) -> Action | None:
+    """Choose the image whose picture plane a ray meets first, or the tie point nearest to it within an angle [rad]; control and
+    check points are left to the core."""
+    room = state.room(Bundle)
+    row = room.at(state.row)
+    if not alone(state) or row is None or room.layout is None or room.result is None:
+        return None
+    axis = np.asarray(direction, float) / np.linalg.norm(direction)
+    image, near = _met(room.layout, row, _depth(room.layout, room.rows[0]), np.asarray(origin, float), axis)
+    ties = np.flatnonzero(np.array(room.result.roles) == "tie")
+    if room.draw_points and len(ties):
+        away = room.layout.places(row.x)[ties] - origin
+        along = away @ axis
+        across = np.linalg.norm(away - along[:, None] * axis, axis=1)
+        angle = np.where(along > 0, np.arctan2(across, along), np.inf)
+        best = int(np.argmin(angle))
+        if angle[best] <= tolerance and along[best] < near:
+            return ChoosePoint(room.layout.points[ties[best]])
+    return None if image is None else ChooseImage(room.layout.images[image])
+
+
+def _met(layout: Layout, row: Iteration, depth: float, origin: np.ndarray, axis: np.ndarray) -> tuple[int | None, float]:
+    """The image whose picture plane a ray meets first, and how far along it."""
+    centres, matrices = layout.poses(row.x)
+    start, way = np.einsum("mij,mj->mi", matrices, origin - centres), matrices @ axis
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = (-depth - start[:, 2]) / way[:, 2]
+        hit = (start + t[:, None] * way)[:, :2] / depth
+    t = np.where((t > 0) & (np.abs(hit) <= _half(layout)).all(axis=1), t, np.inf)
+    best = int(np.argmin(t))
+    return (best, float(t[best])) if np.isfinite(t[best]) else (None, np.inf)
 
 
 # -- images -------------------------------------------------------------------------------------------------------------------
@@ -280,22 +315,32 @@ def _scales(state: State) -> Scene:
     """What the exaggerated lengths are worth: a bar for the vectors, one for the ellipsoids, with words."""
     room, found = state.room(Bundle), Scene()
     low, high = site(state)
+    if room.layout is not None and room.rows and len(room.layout.points):
+        spread = _spread(room.layout, room.rows[-1])
+        low, high = np.minimum(low, spread[0]), np.maximum(high, spread[1])
     span = float((high - low)[:2].max())
     lines = []
-    of = offsets(state)
-    if room.draw_vectors and of is not None and len(of[0]) + len(of[1]):
-        lines.append(("vectors", vector_factor(state), "of control correction and check error"))
+    of = offsets(_at_last(state)) if room.rows else None
+    if room.draw_vectors and of is not None and np.abs(of[3][np.concatenate(of[:2])]).max(initial=0.0) > 1e-9:
+        lines.append(("vectors", vector_factor(state), ": corrections of control, check errors"))
     if room.draw_ellipsoids and judged(state) is not None:
-        lines.append(("ellipsoids", ellipsoid_factor(state), "of 95 % ellipsoid, a priori"))
+        lines.append(("ellipsoids", ellipsoid_factor(state), ": 95 % ellipsoids, a priori"))
     for k, (name, factor, words) in enumerate(lines):
         length = nice(max(span / 6 / factor, 1e-9))
-        begin = np.array([(low[0] + high[0]) / 2, low[1] - (0.06 + 0.08 * k) * span, high[2]])
+        begin = np.array([low[0] + 0.6 * (high[0] - low[0]), low[1] - (0.06 + 0.08 * k) * span, high[2]])
         end, tick = begin + np.array([factor * length, 0, 0]), np.array([0, 0.015 * span, 0])
         bar = np.array([[begin, end], [begin - tick, begin + tick], [end - tick, end + tick]])
         found[f"/bundle/scale/{name}"] = Segments(bar, theme.foreground(state.view.dark), 2.0)
-        text = f"{_length(length)} {words} (× {factor:g})"
+        text = f"{_length(length)}{words} (× {factor:g})"
         found[f"/bundle/scale/{name}_label"] = Label(text, end + np.array([0.02 * span, 0, 0]), 0.9)
     return found
+
+
+@by_identity(2)
+def _spread(layout: Layout, row: Iteration) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (3,) of what holds all points but the outermost."""
+    low, high = np.percentile(layout.places(row.x), [1, 99], axis=0)
+    return low, high
 
 
 def _length(metres: float) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -155,7 +155,39 @@ class Bundle:
         return self.rows[min(max(row, 0), len(self.rows) - 1)] if self.rows else None
 
 
-CHOICES = {"model": MODELS, "transform": TRANSFORMS, "datum": DATUMS, "loss": ROBUST, "start": STARTS, "colour": COLOURED}
+CHOSEN = ("model", "transform", "datum", "free", "loss", "start", "colour", "vectors", "ellipsoid", "draw_points", "draw_vectors",
+          "draw_ellipsoids", "draw_rays", "alone")
+"""What a session keeps: the choices, not what came of them."""
+
+
+def bundle_choices(room: Bundle) -> dict[str, Any]:
+    """As JSON."""
+    return {name: list(room.free) if name == "free" else getattr(room, name) for name in CHOSEN}
+
+
+def bundle_of_choices(said: Mapping[str, Any]) -> Bundle:
+    """Raises ValueError where a choice is none."""
+    room = Bundle()
+    for name in CHOSEN:
+        value = said[name]
+        if name == "free":
+            value = tuple(p for p in PARAMETERS if p in value)
+        elif not _allowed(name, value):
+            raise ValueError(f"{name} {value!r}")
+        room = replace(room, **{name: value})
+    return room
+
+
+def _allowed(name: str, value: Any) -> bool:
+    if name in CHOICES:
+        return value in CHOICES[name]
+    if name in ("vectors", "ellipsoid"):
+        return isinstance(value, (int, float)) and not isinstance(value, bool) and 0 <= value <= FACTORS[-1]
+    return name in CHOSEN and name != "free" and isinstance(value, bool)
+
+
+CHOICES: dict[str, tuple[str, ...]] = {"model": MODELS, "transform": TRANSFORMS, "datum": DATUMS, "loss": ROBUST, "start": STARTS,
+                                         "colour": COLOURED}
 
 
 @dataclass(frozen=True)
@@ -215,15 +247,9 @@ class BundleFailed(Action):
 @handles(SetBundle)
 def _set(state: State, action: SetBundle) -> State:
     room, name, value = state.room(Bundle), action.name, action.value
-    kinds = {f.name: type(getattr(room, f.name)) for f in fields(room)}
-    if name in CHOICES:
-        ok = value in CHOICES[name]
-    elif name in ("vectors", "ellipsoid"):
-        ok = isinstance(value, (int, float)) and 0 <= value <= FACTORS[-1]
-        value = float(value) if ok else value
-    else:
-        ok = kinds.get(name) is bool and isinstance(value, bool) and name != "then_open"
-    return follow(state.with_room(replace(room, **{name: value}))) if ok and getattr(room, name) != value else state
+    if not _allowed(name, value) or getattr(room, name) == value:
+        return state
+    return follow(state.with_room(replace(room, **{name: value})))
 
 
 @handles(FreeParameter)

@@ -19,6 +19,7 @@ from solvers.block import ROLES, Observations, Points
 from .acting import update
 from .actions import Clicking, Set, Show, Speed
 from .actions_measure import SPOTS
+from .bundle_state import Bundle, bundle_choices, bundle_of_choices
 from .lists import Tables
 from .state import HISTORY, Mark, Settings, Spot, State, View, Work
 
@@ -46,6 +47,7 @@ def _tables(said: Any) -> Tables:
 
 
 kept(from_json=_tables)(Tables)
+kept(bundle_choices, bundle_of_choices)(Bundle)
 
 
 def fingerprint(block: Block) -> str:

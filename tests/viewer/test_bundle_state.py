@@ -169,6 +169,29 @@ def test_points_switched_off_only_check(state: State) -> None:
     assert b.result.roles[b.layout.points.index("G07")] == "check"
 
 
+def test_a_click_chooses_the_image_whose_picture_it_meets(done: State) -> None:
+    from viewer_app.bundle_scene import click
+
+    of = exterior(done, "right")
+    assert of is not None
+    above = of.centre + np.array([0, 0, 100.0])
+    chosen = update(done, click(done, above, of.centre - of.m[2] * 20 - above, 0.01))  # type: ignore[arg-type]
+    assert chosen.image == "right" and chosen.room(Bundle) is done.room(Bundle)
+    assert click(done, above, np.array([0, 0, 1.0]), 0.01) is None
+    assert click(update(done, SetBundle("alone", False)), above, of.centre - above, 0.01) is None
+
+
+def test_choices_outlive_the_session(state: State) -> None:
+    from viewer_app.session import KEPT_ROOMS
+
+    kind, to_json, from_json = KEPT_ROOMS["Bundle"]
+    now = room(update(update(state, SetBundle("datum", "free")), FreeParameter("k1")))
+    again = from_json(to_json(now))
+    assert kind is Bundle and again.datum == "free" and again.free == ("k1",) and again.rows == ()
+    with pytest.raises(ValueError, match="datum"):
+        from_json({**to_json(now), "datum": "moon"})
+
+
 def test_a_failure_is_a_sentence(state: State) -> None:
     from solvers import PhotogrammetryError
 

@@ -10,7 +10,7 @@ import numpy as np
 from solvers.cameras import PARAMETERS
 
 from ..bundle_figures import camera_figures, camera_of, image_vectors
-from ..bundle_scene import alone, judged, scene
+from ..bundle_scene import alone, click, judged, scene
 from ..bundle_state import (
     COLOURED,
     DATUMS,
@@ -221,6 +221,7 @@ TAB = Tab(
     tasks=tasks,
     scene=scene,
     alone=alone,
+    click=click,
     commands=(
         Command("Run bundle", RunBundle(), "B", hint="Adjust all images together."),
         Command("Stop bundle", StopBundle(), hint="The rows so far stay."),

@@ -101,11 +101,12 @@ def correlation_svg(title: str, names: tuple[str, ...], covariance: np.ndarray, 
                      f'<text x="{left + (i + 0.5) * cell:.1f}" y="{top - 5}" text-anchor="middle">{esc(names[i])}</text>')
         for j in range(n):
             colour = theme.ORTHOGONAL if r[i, j] > 0 else theme.PERSPECTIVE
+            ink = "" if abs(r[i, j]) < 0.5 else 'fill="#141414"' if r[i, j] > 0 else 'fill="#fff"'
             parts.append(f'<g><title>{esc(names[i])}, {esc(names[j])}: {r[i, j]:+.3f}</title>'
                          f'<rect x="{left + j * cell:.1f}" y="{top + i * tall:.1f}" width="{cell - 1:.1f}" '
                          f'height="{tall - 1:.1f}" fill="{css(colour)}" fill-opacity="{abs(r[i, j]):.2f}"/>'
-                         f'<text x="{left + (j + 0.5) * cell:.1f}" y="{top + (i + 0.5) * tall + 3:.1f}" text-anchor="middle">'
-                         f'{100 * r[i, j]:.0f}</text></g>')
+                         f'<text x="{left + (j + 0.5) * cell:.1f}" y="{top + (i + 0.5) * tall + 3:.1f}" text-anchor="middle" '
+                         f'{ink}>{100 * r[i, j]:.0f}</text></g>')
     return _svg(title, width, top + n * tall, "".join(parts))
 
 
