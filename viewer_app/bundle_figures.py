@@ -74,17 +74,14 @@ def camera_figures(state: State, camera: int) -> tuple[Profile, Field] | None:
     of, row = misfit(state), room.at(state.row)
     if of is None or room.layout is None or row is None:
         return None
-    interior = _interior(room.layout, row, camera)
+    given = room.result.interiors if room.result is not None and not of.live else _interiors(room.layout, row)
+    interior = given[camera]
     return _figures(room.layout, of, interior, camera)
 
 
 @by_identity(32)
 def _interiors(layout: Layout, row: object) -> tuple[Interior, ...]:
     return layout.interiors_at(row.x)  # type: ignore[attr-defined]
-
-
-def _interior(layout: Layout, row: object, camera: int) -> Interior:
-    return _interiors(layout, row)[camera]
 
 
 @remembered(4)

@@ -19,6 +19,7 @@ from .bundle_state import (
     Misfit,
     given_places,
     image_number,
+    inner_extent,
     misfit,
     point_rms,
     ray_counts,
@@ -316,7 +317,7 @@ def _scales(state: State) -> Scene:
     room, found = state.room(Bundle), Scene()
     low, high = site(state)
     if room.layout is not None and room.rows and len(room.layout.points):
-        spread = _spread(room.layout, room.rows[-1])
+        spread = inner_extent(room.layout, room.rows[-1 if room.result else 0])
         low, high = np.minimum(low, spread[0]), np.maximum(high, spread[1])
     span = float((high - low)[:2].max())
     lines = []
@@ -327,20 +328,13 @@ def _scales(state: State) -> Scene:
         lines.append(("ellipsoids", ellipsoid_factor(state), ": 95 % ellipsoids, a priori"))
     for k, (name, factor, words) in enumerate(lines):
         length = nice(max(span / 6 / factor, 1e-9))
-        begin = np.array([low[0] + 0.6 * (high[0] - low[0]), low[1] - (0.06 + 0.08 * k) * span, high[2]])
+        begin = np.array([low[0] + 0.6 * (high[0] - low[0]), low[1] - (0.12 + 0.08 * k) * span, high[2]])
         end, tick = begin + np.array([factor * length, 0, 0]), np.array([0, 0.015 * span, 0])
         bar = np.array([[begin, end], [begin - tick, begin + tick], [end - tick, end + tick]])
         found[f"/bundle/scale/{name}"] = Segments(bar, theme.foreground(state.view.dark), 2.0)
         text = f"{_length(length)}{words} (× {factor:g})"
         found[f"/bundle/scale/{name}_label"] = Label(text, end + np.array([0.02 * span, 0, 0]), 0.9)
     return found
-
-
-@by_identity(2)
-def _spread(layout: Layout, row: Iteration) -> tuple[np.ndarray, np.ndarray]:
-    """Corners (3,) of what holds all points but the outermost."""
-    low, high = np.percentile(layout.places(row.x), [1, 99], axis=0)
-    return low, high
 
 
 def _length(metres: float) -> str:

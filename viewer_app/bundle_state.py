@@ -380,6 +380,21 @@ def place(state: State, name: str) -> np.ndarray | None:
     return None if room.layout is None or k is None or row is None else room.layout.places(row.x)[k]
 
 
+@by_identity(2)
+def inner_places(layout: Layout, row: Iteration) -> np.ndarray:
+    """Where the points (k, 3) are, without the outermost."""
+    xyz = layout.places(row.x)
+    low, high = np.percentile(xyz, [1, 99], axis=0) if len(xyz) else (0, 0)
+    return xyz[((xyz >= low) & (xyz <= high)).all(axis=1)]
+
+
+@by_identity(2)
+def inner_extent(layout: Layout, row: Iteration) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (3,) of those."""
+    xyz = inner_places(layout, row)
+    return (xyz.min(axis=0), xyz.max(axis=0)) if len(xyz) else (np.full(3, -10.0), np.full(3, 10.0))
+
+
 @dataclass(frozen=True, eq=False)
 class Misfit:
     """Residuals (o, 2) px, observed minus projected, of observations by image and point of the layout, at pixel (o, 2).
@@ -404,11 +419,12 @@ def misfit(state: State) -> Misfit | None:
         return _misfit(room.layout, room.block, row)
     if room.result is None:
         return None
-    return _last(room.result)
+    return last_misfit(room.result)
 
 
 @by_identity(2)
-def _last(result: Judged) -> Misfit:
+def last_misfit(result: Judged) -> Misfit:
+    """The residuals of the last row."""
     return Misfit(result.image, result.point, result.pixel, result.v, False)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from solvers.block import Points
 
 from . import theme
-from .bundle_state import Bundle
+from .bundle_state import Bundle, inner_extent, inner_places
 from .kept import by_identity
 from .matching_state import Matching
 from .state import Assets, State
@@ -25,6 +25,9 @@ def nice(value: float) -> float:
 def site(state: State) -> tuple[np.ndarray, np.ndarray]:
     """Corners (3,) low and high of the known points, with a little room around, in the local frame."""
     extent = _extent(state.assets, state.block.points)
+    room = state.room(Bundle)
+    if extent is None and room.rows and room.layout is not None:
+        extent = inner_extent(room.layout, room.rows[-1 if room.result else 0])
     if extent is None:
         xyz = _instead(state)
         extent = (xyz.min(axis=0), xyz.max(axis=0)) if len(xyz) else (np.full(3, -10.0), np.full(3, 10.0))
@@ -39,9 +42,7 @@ def _instead(state: State) -> np.ndarray:
     """Places (n, 3) m where no point is known: tie points as a bundle placed them, else where the photos were taken from."""
     room = state.room(Bundle)
     if room.rows and room.layout is not None:
-        xyz = room.layout.places(room.rows[-1].x)
-        low, high = np.percentile(xyz, [1, 99], axis=0)
-        return xyz[((xyz >= low) & (xyz <= high)).all(axis=1)]
+        return inner_places(room.layout, room.rows[-1 if room.result else 0])
     network = state.room(Matching).network
     if network is not None and len(network.xyz):
         low, high = np.percentile(network.xyz, [1, 99], axis=0)

@@ -8,8 +8,9 @@ from solvers.cameras import PARAMETERS
 
 from .. import theme
 from ..bridge import Wire
-from ..bundle_scene import judged, offsets, scale_end
-from ..bundle_state import COLOURED, Bundle, Judged, Layout, misfit, point_rms
+from ..bundle_scene import judged, scale_end
+from ..bundle_state import COLOURED, Bundle, Judged, Layout, last_misfit, misfit, point_rms
+from ..kept import by_identity
 from ..matching_scene import RAYS, SCALE
 from ..state import State
 from .widgets import MUTED, css, decimals, esc, swatch, table
@@ -121,14 +122,9 @@ def images_table(state: State, result: Judged, layout: Layout, wire: Wire) -> st
 
 
 def points_table(state: State, result: Judged, layout: Layout, wire: Wire) -> str:
-    """Control and check points by how far off, then tie points by residual; a click flies there."""
-    roles, of = np.array(result.roles), misfit(state)
-    rms = point_rms(layout, of) if of is not None else np.full(len(roles), np.nan)
-    found = offsets(state)
-    off = result.off if found is None else found[3]
-    given = np.isin(roles, ("control", "check"))
-    far = np.nan_to_num(np.linalg.norm(off, axis=1))
-    order = np.lexsort((-np.nan_to_num(rms), -far * given, ~given))[:ROWS]
+    """Control and check points by how far off, then tie points by residual, at the last row; a click flies there."""
+    roles, off, rms = result.roles, result.off, point_rms(layout, last_misfit(result))
+    order, given = _order(layout, result)
     rows = []
     for k in order:
         name = layout.points[k]
@@ -136,7 +132,7 @@ def points_table(state: State, result: Judged, layout: Layout, wire: Wire) -> st
         w = result.point_w[k]
         worst = float(np.abs(w[np.isfinite(w)]).max(initial=0.0))
         sigma = np.sqrt(np.diag(result.covariance[k]))
-        mark = swatch({"control": theme.CONTROL, "check": theme.CHECK}.get(str(roles[k]), theme.INITIAL))
+        mark = swatch({"control": theme.CONTROL, "check": theme.CHECK}.get(roles[k], theme.INITIAL))
         bold = ' style="font-weight:600;cursor:pointer"' if name == state.point else ""
         attributes = wire.attributes("fly-point", name, f"fly to {name}")
         attributes = attributes.replace('style="cursor:pointer"', bold) if bold else attributes
@@ -145,6 +141,15 @@ def points_table(state: State, result: Judged, layout: Layout, wire: Wire) -> st
                                   *(f"{1000 * s:.1f}" for s in sigma))))
     head = ("point", "rays", "rms px", "dX mm", "dY", "dZ", "|w|", "sX mm", "sY", "sZ")
     return _titled("Points, adjusted − given", len(order), len(roles), table(head, rows, "Bundle points", 230, 10))
+
+
+@by_identity(2)
+def _order(layout: Layout, result: Judged) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of the table of points, and which points (n,) were given."""
+    rms = point_rms(layout, last_misfit(result))
+    given = np.isin(np.array(result.roles), ("control", "check"))
+    far = np.nan_to_num(np.linalg.norm(result.off, axis=1))
+    return np.lexsort((-np.nan_to_num(rms), -far * given, ~given))[:ROWS], given
 
 
 def suspects_table(result: Judged, wire: Wire) -> str:
