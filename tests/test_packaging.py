@@ -19,7 +19,7 @@ NAMES = {"cv2": "opencv-python-headless", "PIL": "pillow", "rerun": "rerun-sdk",
          "rerun_bindings": "rerun-sdk",
          "tomli_w": "tomli-w"}
 CARRIED = {"msgspec": "viser", "websockets": "viser", "zstandard": "viser", "imageio": "viser", "pyarrow": "rerun-sdk",
-           "affine": "rasterio", "starlette": "viser"}
+           "affine": "rasterio", "llvmlite": "numba", "starlette": "viser"}
 """Imported by us, brought and pinned by one of our dependencies."""
 
 
