@@ -29,6 +29,8 @@ def add(commands: Any) -> None:
                                                          "of least tilt)")
     mosaic.add_argument("--surface", default="plane", metavar="plane|DEM.tif", help="what the photos are put on (default: plane)")
     mosaic.add_argument("--crs", help="of a folder of photos: EPSG:CODE (default: their UTM zone)")
+    mosaic.add_argument("--corners", metavar="C.json",
+                        help="image corners as weighted control, from collinea georeference --corners")
     mosaic.add_argument("--allow-partial", action="store_true", help="end with 0 even if photos had to be left out")
     _composition(mosaic)
     mosaic.add_argument("--blend", choices=("none", "average", "feather", "multiband"), default="feather",
@@ -52,6 +54,17 @@ def add(commands: Any) -> None:
 def _composition(command: Parser) -> None:
     command.add_argument("--gsd", type=positive, metavar="M", help="ground size of a pixel [m] (default: the photos' own)")
     command.add_argument("--resample", choices=("nearest", "bilinear", "bicubic"), default="bilinear", help="(default: bilinear)")
+    command.add_argument("--compression", choices=("deflate", "zstd", "jpeg", "none"), default="deflate",
+                         help="of the GeoTIFF; jpeg loses a little and takes a tenth of the room (default: deflate)")
+    command.add_argument("--nodata", type=_byte, metavar="V",
+                         help="value 0 to 255 where no photo shows anything, in place of alpha")
+
+
+def _byte(text: str) -> int:
+    value = reach(text)
+    if value > 255:
+        raise argparse.ArgumentTypeError(f"'{text}': pixels are bytes; give a value from 0 to 255")
+    return value
 
 
 def _plane(text: str) -> float | str:
@@ -71,11 +84,11 @@ def _mosaic(args: argparse.Namespace) -> int:
             print(f"\r\033[K{at.stage} {at.done} of {at.total}, {at.left:.0f} s left", end="", file=sys.stderr, flush=True)
 
     compose = ComposeRequest(args.surface, args.gsd, args.resample, args.blend, args.seams, args.gain, args.memory,
-                             args.workers or cores(), args.scheduler)
+                             args.workers or cores(), args.scheduler, args.compression, nodata=args.nodata)
     try:
         done = mosaic_of(args.project, args.output,
                          MosaicRequest(args.kind, args.register, args.model, args.plane, args.reference, args.allow_partial,
-                                       args.crs, compose), progress)
+                                       args.crs, args.corners, compose), progress)
     finally:
         if shown:
             print("\r\033[K", end="", file=sys.stderr, flush=True)
@@ -89,5 +102,6 @@ def _rectify(args: argparse.Namespace) -> int:
     from .workflows_mosaic import rectify_photo
 
     done = rectify_photo(args.project, args.image, args.output, args.plane,
-                         ComposeRequest(gsd=args.gsd, resample=args.resample, blend="none"))
+                         ComposeRequest(gsd=args.gsd, resample=args.resample, blend="none", compression=args.compression,
+                                        nodata=args.nodata))
     return emit(args, done, rectify_text(done, args.output))

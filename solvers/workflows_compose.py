@@ -18,6 +18,7 @@ from .errors import BadProject, Unsupported
 from .execution import Progress, each, timed
 from .geometry import Grid, Surface
 from .io import (
+    Coding,
     Part,
     PhotoStore,
     TileFolder,
@@ -53,7 +54,7 @@ from .mosaic.surface import Ground
 
 PICTURES = (".png", ".jpg", ".jpeg")
 RASTERS = (".tif", ".tiff")
-PER_TILE, PER_BANDED = 0.08, 0.2
+PER_TILE, PER_BANDED = 0.08, 0.22
 """GB that a tile in work takes, blended at once or in bands, ..."""
 AT_LEAST, ROOM = 0.235, 0.66
 """... GB that the programme takes without any, and GB to stay within unless told otherwise."""
@@ -62,7 +63,8 @@ AT_LEAST, ROOM = 0.235, 0.66
 @dataclass(frozen=True)
 class ComposeRequest:
     """How a mosaic is composed. surface: "plane" or a DEM's file; gsd [m], None: of the photos; memory [GB] to stay within;
-    crs: of the map, None: the registration's (a block in frame "grid" is local, its map is not)."""
+    crs: of the map, None: the registration's (a block in frame "grid" is local, its map is not). compression and nodata: see
+    `Coding`."""
 
     surface: str = "plane"
     gsd: float | None = None
@@ -73,8 +75,14 @@ class ComposeRequest:
     memory: float | None = None
     workers: int = 1
     scheduler: str | None = None
-    compression: Literal["deflate", "zstd", "none"] = "deflate"
+    compression: Literal["deflate", "zstd", "jpeg", "none"] = "deflate"
     crs: str | None = None
+    nodata: int | None = None
+
+    @property
+    def coding(self) -> Coding:
+        """How the file holds pixels."""
+        return Coding(self.compression, self.nodata)
 
 
 def compose_photos(registration: Registration, photos: Mapping[str, Path], out: Path, request: ComposeRequest,
@@ -84,7 +92,7 @@ def compose_photos(registration: Registration, photos: Mapping[str, Path], out: 
 
     Beside it: a world file, OUT.footprints.geojson and with seams OUT.seams.geojson. Raises PhotogrammetryError.
     """
-    out = _must_be_writable(Path(out))
+    out, request = _must_be_writable(Path(out), request)
     start, files = time.perf_counter(), {n: Path(photos[n]) for n in registration.names}
     placed = [_placed(registration, k, files[n]) for k, n in enumerate(registration.names)]
     ground, surface = ground_of(registration, placed, request)
@@ -105,9 +113,9 @@ def compose_photos(registration: Registration, photos: Mapping[str, Path], out: 
             "peak_memory_mb": peak_memory_mb()}
 
 
-def make_tile(job: Job, store: PhotoStore, compression: str) -> Part:
+def make_tile(job: Job, store: PhotoStore, coding: Coding) -> Part:
     """One tile, encoded; at the top of a module, so that workers anywhere find it."""
-    return encode_tile(job.index, render(job, store.window), half, compression)
+    return encode_tile(job.index, render(job, store.window), half, coding)
 
 
 def peak_memory_mb() -> float | None:
@@ -122,14 +130,22 @@ def peak_memory_mb() -> float | None:
 # -- what it is made of -----------------------------------------------------------------------------------------------------
 
 
-def _must_be_writable(out: Path) -> Path:
+def _must_be_writable(out: Path, request: ComposeRequest) -> tuple[Path, ComposeRequest]:
     if out.suffix.lower() not in RASTERS + PICTURES:
         raise Unsupported(f"{out}: a mosaic is written as .tif, .png or .jpg; choose one of these endings")
     if not out.resolve().parent.is_dir():
         raise BadProject(f"{out}: there is no such folder; make it first or correct the path")
     if out.is_dir():
         raise BadProject(f"{out}: this is a folder; give the name of a file")
-    return out.resolve()
+    picture = out.suffix.lower() in PICTURES
+    if picture and request.nodata is not None:
+        raise Unsupported(f"{out}: a nodata value is for .tif; a .png has alpha, a .jpg is white where nothing is seen")
+    if request.nodata is not None and not 0 <= request.nodata <= 255:
+        raise BadProject(f"nodata {request.nodata}: pixels are bytes; give a value from 0 to 255")
+    if request.compression == "jpeg" and request.nodata is not None:
+        raise BadProject("JPEG does not keep a nodata value as it is; leave --nodata out (the file gets a mask), or take "
+                         "--compression deflate")
+    return out.resolve(), replace(request, compression="deflate") if picture else request
 
 
 def _placed(registration: Registration, k: int, file: Path) -> Placed:
@@ -207,7 +223,7 @@ def _plan(registration: Registration, placed: list[Placed], files: Mapping[str, 
                   for p in placed]
     text = json.dumps([each_photo, registration.crs, registration.frame.origin.tolist(), registration.plane.tolist(), dem,
                        request.surface, request.gsd, request.resample, request.blend, request.seams, request.gain,
-                       request.compression])
+                       request.compression, request.nodata])
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -223,7 +239,7 @@ def _tiles(made: Composition, folder: TileFolder, store: PhotoStore, request: Co
     order: list[int] = []
     try:
         finished, order = folder.open(), made.order()
-        work = partial(make_tile, store=store, compression=request.compression)
+        work = partial(make_tile, store=store, coding=request.coding)
         left = sum(k not in finished for k in order)
         results = each(work, made.jobs(finished), workers, request.scheduler, threads=True)
         for _, part in timed("tiles", results, left, report):
@@ -239,10 +255,10 @@ def _finish(made: Composition, folder: TileFolder, request: ComposeRequest, unit
     grid = replace(made.canvas.grid, crs=map_crs)
     try:
         if folder.out.suffix.lower() in RASTERS:
-            write_cog(folder, grid, made.tiles, half, request.compression)
+            write_cog(folder, grid, made.tiles, half, request.coding)
             return
         whole = folder.folder / "whole.tif"
-        write_cog(folder, grid, made.tiles, half, request.compression, whole)
+        write_cog(folder, grid, made.tiles, half, request.coding, whole)
         to_picture(whole, folder.out, f"1 px = {made.canvas.gsd:g} {unit}")
     except OSError as error:
         if no_space(error):

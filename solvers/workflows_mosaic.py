@@ -17,13 +17,24 @@ from .cameras import Interior
 from .errors import BadProject, PhotogrammetryError
 from .execution import Progress
 from .geometry import Exterior, LocalFrame
-from .io import assemble, new_run, photo_path, photo_size, read_exif, read_onboard, read_project, save_trace, write_json
+from .io import (
+    assemble,
+    new_run,
+    photo_path,
+    photo_size,
+    read_corners,
+    read_exif,
+    read_onboard,
+    read_project,
+    save_trace,
+    write_json,
+)
 from .io.crs import short_crs
 from .matching import Ties
 from .mosaic import Registration, RegistrationRequest, check_ties, fit_plane, rectification, register
 from .mosaic.register import Model
 from .mosaic.registration import Level, Method
-from .orientation import BundleRequest, adjust, georeference
+from .orientation import BundleRequest, CornerControl, adjust, georeference, with_corners
 from .workflows_compose import ComposeRequest, compose_photos
 from .workflows_matching import find_ties, ties_in_format, with_ties
 from .workflows_orientation import orientations_of
@@ -36,7 +47,8 @@ TURNED = 20.0
 
 @dataclass(frozen=True)
 class MosaicRequest:
-    """How a mosaic is made. kind None: the best that the data allow; crs: of a folder of photos, None: their UTM zone."""
+    """How a mosaic is made. kind None: the best that the data allow; crs: of a folder of photos, None: their UTM zone.
+    corners: file of image corners, written by direct georeferencing, as weighted control."""
 
     kind: Level | None = None
     register: Method = "simultaneous"
@@ -45,6 +57,7 @@ class MosaicRequest:
     reference: str | None = None
     allow_partial: bool = False
     crs: str | None = None
+    corners: str | None = None
     compose: ComposeRequest = field(default_factory=ComposeRequest)
 
 
@@ -204,6 +217,10 @@ def _site(source: Path, request: MosaicRequest, report: Callable[[Progress], obj
         block, photos, notes, calibrated = _folder(source, request.crs)
     else:
         raise BadProject(f"{source}: there is no such project or folder; give a project or a folder of photos")
+    if request.corners is not None:
+        given = read_corners(request.corners, block.crs)
+        block = with_corners(block, [CornerControl(*c) for c in given])
+        notes = (*notes, f"corners: those of {len(given)} images, weighted control with their covariance")
     failed: dict[str, str] = {}
     if not has_ties(block):
         with tempfile.TemporaryDirectory() as scratch:

@@ -21,16 +21,6 @@ def run(*words):
     return main([*map(str, words), "--quiet"])
 
 
-def test_the_controlled_mosaic_of_the_demo_meets_its_check_points(demo, tmp_path):
-    assert run("mosaic", demo, "-o", tmp_path / "m.tif", "--workers", 1, "--json", tmp_path / "m.json") == 0
-    done = json.loads((tmp_path / "m.json").read_text())
-    assert done["kind"] == "controlled" and all(i["used"] for i in done["images"])
-    assert done["check_rms_m"] < done["gsd"] / 2 and done["seconds"]["register"] > 0
-    folder = Path(done["run"])
-    manifest = json.loads((folder / "trace-registration.json").read_text())
-    assert manifest["problem"] == "registration" and manifest["stages"][-1]["stage"] == "bundle"
-
-
 def test_rectify_shows_tilt_and_isocentre(demo, tmp_path):
     assert run("rectify", demo, "--image", "DSC00229", "-o", tmp_path / "r.tif", "--json", tmp_path / "r.json") == 0
     done = json.loads((tmp_path / "r.json").read_text())

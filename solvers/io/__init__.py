@@ -3,7 +3,7 @@
 from . import assemble, crs
 from .arrays import ArrayFolder
 from .bal import read_bal
-from .cog import Part, TileFolder, encode_tile, full_disk, no_space, to_picture, write_cog
+from .cog import Coding, Part, TileFolder, encode_tile, full_disk, no_space, to_picture, write_cog
 from .corners import WrittenCorners, read_corners, write_corners
 from .demo import demo_assets, demo_copy
 from .exif import Exif, read_exif
@@ -32,7 +32,8 @@ from .runs import latest_run, load_trace, new_run, save_trace, trace_name
 from .surface import find_geoid, read_surface
 from .telemetry import read_flight_log, read_mrk, read_positions
 
-__all__ = ["ArrayFolder", "Ask", "ControlList", "Exif", "Part", "PhotoStore", "Thumbnail", "TileFolder", "WrittenCorners",
+__all__ = ["ArrayFolder", "Ask", "Coding", "ControlList", "Exif", "Part", "PhotoStore", "Thumbnail", "TileFolder",
+           "WrittenCorners",
            "areas_of", "assemble", "check_photos", "crs", "demo_assets", "demo_copy", "encode_tile", "find_geoid", "full_disk",
            "jsonable", "latest_run", "load_trace", "new_run", "no_space", "photo_path", "photo_size", "photo_state",
            "photo_time", "photo_window", "read_bal", "read_control", "read_corners", "read_exif", "read_flight_log",

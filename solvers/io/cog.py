@@ -29,39 +29,84 @@ LARGEST_PICTURE = 80_000_000
 """px of a PNG or JPEG, which are held in memory as a whole."""
 COMPRESSIONS = {"deflate": {"compress": "deflate", "zlevel": 1, "predictor": 2}, "zstd": {"compress": "zstd", "zstd_level": 3,
                                                                                            "predictor": 2},
-                "none": {}}
+                "jpeg": {"compress": "jpeg", "jpeg_quality": 90}, "none": {}}
+
+
+class Coding(NamedTuple):
+    """How pixels stand in the file: compression, one of `COMPRESSIONS`, and what says where nothing is seen: alpha, with jpeg
+    (whose loss would fray it) a mask of single bits, or a value `nodata` 0..255 in place of both."""
+
+    compression: str = "deflate"
+    nodata: int | None = None
+
+    @property
+    def masked(self) -> bool:
+        """Whether a mask of its own goes with every resolution."""
+        return self.compression == "jpeg" and self.nodata is None
+
+    @property
+    def profile(self) -> dict[str, Any]:
+        """What GDAL is told."""
+        out = {"driver": "GTiff", "dtype": "uint8", "tiled": True, "blockxsize": BLOCK, "blockysize": BLOCK,
+               "interleave": "pixel", **COMPRESSIONS[self.compression]}
+        if self.compression == "jpeg":
+            return {**out, "count": 3, "photometric": "YCBCR"}
+        if self.nodata is not None:
+            return {**out, "count": 3, "photometric": "RGB"}
+        return {**out, "count": 4, "photometric": "RGB", "alpha": "non-premultiplied"}
+
+    def bands(self, rgba: np.ndarray) -> np.ndarray:
+        """(3 or 4, h, w) of RGBA; what is seen is never nodata: such a value goes one step aside."""
+        if self.nodata is not None:
+            aside = self.nodata + 1 if self.nodata < 255 else 254
+            rgb = np.where(rgba[..., :3] == self.nodata, np.uint8(aside), rgba[..., :3])
+            return np.moveaxis(np.where(rgba[..., 3:] > 0, rgb, np.uint8(self.nodata)), -1, 0)
+        return np.moveaxis(rgba[..., :3] if self.masked else rgba, -1, 0)
+
+
+PLAIN = Coding()
 
 
 class Part(NamedTuple):
-    """A tile as it will lie in the file: its four blocks, its block of the first overview, its quarter (256, 256, 4)."""
+    """A tile as it will lie in the file: its four blocks, its block of the first overview, each followed by those of the mask
+    where there is one, its quarter (256, 256, 4)."""
 
     number: int
     blocks: tuple[bytes, ...]
-    overview: bytes
+    overview: tuple[bytes, ...]
     quarter: np.ndarray
     note: dict[str, Any]
 
 
-def encode_tile(index: int, rgba: np.ndarray, half: Callable[[np.ndarray], np.ndarray], compression: str = "deflate",
+def encode_tile(index: int, rgba: np.ndarray, half: Callable[[np.ndarray], np.ndarray], coding: Coding = PLAIN,
                 note: dict[str, Any] | None = None) -> Part:
     """A tile (<= 1024, <= 1024, 4) uint8 ready for the file; half: halves the resolution of RGBA."""
     if not rgba[..., 3].any():
-        return Part(index, (), b"", np.zeros((BLOCK // 2, BLOCK // 2, 4), np.uint8), note or {})
+        return Part(index, (), (), np.zeros((BLOCK // 2, BLOCK // 2, 4), np.uint8), note or {})
     whole = np.zeros((2 * BLOCK, 2 * BLOCK, 4), np.uint8)
     whole[:rgba.shape[0], :rgba.shape[1]] = rgba
     smaller = half(whole)
-    return Part(index, tuple(encode(whole, compression)), encode(smaller, compression)[0], half(smaller), note or {})
+    return Part(index, tuple(encode(whole, coding)), tuple(encode(smaller, coding)), half(smaller), note or {})
 
 
-def encode(rgba: np.ndarray, compression: str) -> list[bytes]:
-    """The blocks of an RGBA picture whose sides are multiples of BLOCK, row after row, by GDAL's own codecs."""
+def encode(rgba: np.ndarray, coding: Coding) -> list[bytes]:
+    """The blocks of an RGBA picture whose sides are multiples of BLOCK, row after row, by GDAL's own codecs; then, where the
+    coding has them, those of its mask: rows of bits, 1 where something is seen, deflated."""
+    blocks = _encoded(rgba, coding)
+    if coding.masked:
+        for top in range(0, rgba.shape[0], BLOCK):
+            for left in range(0, rgba.shape[1], BLOCK):
+                seen = rgba[top:top + BLOCK, left:left + BLOCK, 3] > 0
+                blocks.append(zlib.compress(np.packbits(seen, axis=1).tobytes(), 6))
+    return blocks
+
+
+def _encoded(rgba: np.ndarray, coding: Coding) -> list[bytes]:
     from rasterio.io import MemoryFile
 
     with _gdal(), MemoryFile() as memory:
-        with memory.open(driver="GTiff", width=rgba.shape[1], height=rgba.shape[0], count=4, dtype="uint8", tiled=True,
-                         blockxsize=BLOCK, blockysize=BLOCK, interleave="pixel", photometric="RGB", alpha="non-premultiplied",
-                         **COMPRESSIONS[compression]) as data:
-            data.write(np.moveaxis(rgba, -1, 0))
+        with memory.open(width=rgba.shape[1], height=rgba.shape[0], **coding.profile) as data:
+            data.write(coding.bands(rgba))
         view = memory.getbuffer()
         tags = tiff.read_tags(view)
         where = zip(tags[tiff.OFFSETS].values, tags[tiff.COUNTS].values, strict=True)
@@ -114,12 +159,12 @@ class TileFolder:
 
     def keep(self, part: Part) -> None:
         """A finished tile, whole or not at all."""
-        pieces = (*part.blocks, part.overview, part.quarter.tobytes())
+        pieces = (*part.blocks, *part.overview, part.quarter.tobytes())
         crc = 0
         for piece in pieces:
             crc = zlib.crc32(piece, crc)
-        head = {"blocks": [len(b) for b in part.blocks], "overview": len(part.overview), "bytes": sum(map(len, pieces)),
-                "crc": crc, "note": part.note}
+        head = {"blocks": [len(b) for b in part.blocks], "overview": [len(b) for b in part.overview],
+                "bytes": sum(map(len, pieces)), "crc": crc, "note": part.note}
         handle, temporary = tempfile.mkstemp(dir=self.folder, prefix=".tile.")
         try:
             with os.fdopen(handle, "wb") as stream:
@@ -152,7 +197,7 @@ class TileFolder:
         head = self.head(index)
         if head is None:
             return np.zeros((BLOCK // 2, BLOCK // 2, 4), np.uint8)
-        start = sum(head["blocks"]) + head["overview"]
+        start = sum(head["blocks"]) + sum(head["overview"])
         raw = self.read(index, start, head["bytes"] - start)
         return np.frombuffer(raw, np.uint8).reshape(BLOCK // 2, BLOCK // 2, 4)
 
@@ -174,41 +219,44 @@ class TileFolder:
 
 
 class _Level(NamedTuple):
-    """One resolution: size [px], blocks down and across, and where each block's bytes come from."""
+    """One resolution, or its mask: size [px], blocks down and across, and where each block's bytes come from."""
 
     width: int
     height: int
     rows: int
     columns: int
     blocks: list[tuple[Path | None, int, int]]  # file (None: the empty block), first byte of its payload, size
+    mask: bool = False
 
 
 def write_cog(folder: TileFolder, grid: Grid, tiles: tuple[int, int], half: Callable[[np.ndarray], np.ndarray],
-              compression: str = "deflate", out: Path | None = None) -> None:
-    """The mosaic from its finished tiles, atomically: RGBA with alpha, overviews down to one block, CRS and position.
+              coding: Coding = PLAIN, out: Path | None = None) -> None:
+    """The mosaic from its finished tiles, atomically: bands as the coding has them, overviews down to one block, CRS, position.
 
     out: another file than the folder is made for.
     """
-    levels = _levels(folder, grid, tiles, half, compression)
-    empty = encode(np.zeros((BLOCK, BLOCK, 4), np.uint8), compression)[0]
+    levels = _levels(folder, grid, tiles, half, coding)
+    empty = encode(np.zeros((BLOCK, BLOCK, 4), np.uint8), coding)
     total = sum(n for level in levels for _, _, n in level.blocks) + 24 * sum(len(level.blocks) for level in levels) + 2**16
     big = total > 4_000_000_000
     kind = tiff.LONG8 if big else tiff.LONG
-    common = _common_tags(grid, compression)
+    common = {False: _common_tags(grid, coding), True: _mask_tags()}
     all_tags = []
     for k, level in enumerate(levels):
-        zeros = Tag(kind, (0,) * len(level.blocks))
-        tags = {**common, tiff.WIDTH: Tag(tiff.LONG, (level.width,)), tiff.HEIGHT: Tag(tiff.LONG, (level.height,)),
-                tiff.OFFSETS: zeros, tiff.COUNTS: zeros, tiff.SUBFILE: Tag(tiff.LONG, (1 if k else 0,))}
+        zeros, small = Tag(kind, (0,) * len(level.blocks)), level.width < grid.shape[1] or level.height < grid.shape[0]
+        tags = {**common[level.mask], tiff.WIDTH: Tag(tiff.LONG, (level.width,)), tiff.HEIGHT: Tag(tiff.LONG, (level.height,)),
+                tiff.OFFSETS: zeros, tiff.COUNTS: zeros, tiff.SUBFILE: Tag(tiff.LONG, (4 * level.mask + small,))}
         all_tags.append(tags if k == 0 else {n: t for n, t in tags.items() if n not in tiff.GEO})
 
     def write(stream: BinaryIO) -> None:
         head, places = tiff.directories(all_tags, big)
         stream.write(head)
-        nothing = stream.tell()
-        stream.write(empty)
+        nothing = []
+        for block in empty:
+            nothing.append((stream.tell(), len(block)))
+            stream.write(block)
         for k in range(len(levels) - 1, -1, -1):
-            offsets, counts = _copy(stream, levels[k], (nothing, len(empty)))
+            offsets, counts = _copy(stream, levels[k], nothing[levels[k].mask])
             for number, values in ((tiff.OFFSETS, offsets), (tiff.COUNTS, counts)):
                 stream.seek(places[k][number])
                 stream.write(tiff.packed(kind, values))
@@ -233,43 +281,52 @@ def _copy(stream: BinaryIO, level: _Level, empty: tuple[int, int]) -> tuple[list
     return offsets, counts
 
 
-def _common_tags(grid: Grid, compression: str) -> dict[int, Tag]:
+def _mask_tags() -> dict[int, Tag]:
+    """Tags of a mask of single bits, deflated."""
+    one = {tiff.BITS: 1, tiff.COMPRESSION: 8, tiff.PHOTOMETRIC: 4, tiff.SAMPLES: 1, tiff.PLANAR: 1, tiff.TILE_WIDTH: BLOCK,
+           tiff.TILE_HEIGHT: BLOCK}
+    return {n: Tag(tiff.SHORT, (v,)) for n, v in one.items()}
+
+
+def _common_tags(grid: Grid, coding: Coding) -> dict[int, Tag]:
     """Tags that all directories share, those of the place taken from what GDAL writes for the same grid."""
     import rasterio
     from rasterio.io import MemoryFile
     from rasterio.transform import Affine
 
     with _gdal(), MemoryFile() as memory:
-        with memory.open(driver="GTiff", width=BLOCK, height=BLOCK, count=4, dtype="uint8", tiled=True, blockxsize=BLOCK,
-                         blockysize=BLOCK, interleave="pixel", photometric="RGB", alpha="non-premultiplied",
-                         crs=None if grid.crs == "local" else rasterio.CRS.from_user_input(grid.crs),
-                         transform=Affine(*grid.affine), **COMPRESSIONS[compression]) as data:
-            data.write(np.zeros((4, BLOCK, BLOCK), np.uint8))
+        with memory.open(width=BLOCK, height=BLOCK, crs=None if grid.crs == "local" else rasterio.CRS.from_user_input(grid.crs),
+                         transform=Affine(*grid.affine), nodata=coding.nodata, **coding.profile) as data:
+            data.write(np.zeros((coding.profile["count"], BLOCK, BLOCK), np.uint8))
         tags = tiff.read_tags(memory.getbuffer())
     wanted = (tiff.BITS, tiff.COMPRESSION, tiff.PHOTOMETRIC, tiff.SAMPLES, tiff.PLANAR, tiff.PREDICTOR, tiff.TILE_WIDTH,
-              tiff.TILE_HEIGHT, tiff.EXTRA, tiff.SAMPLE_FORMAT, *tiff.GEO)
+              tiff.TILE_HEIGHT, tiff.EXTRA, tiff.SAMPLE_FORMAT, tiff.JPEG_TABLES, tiff.SUBSAMPLING, tiff.NODATA, *tiff.GEO)
     return {**{n: tags[n] for n in wanted if n in tags}, tiff.SOFTWARE: Tag(tiff.ASCII, b"Collinea\0")}
 
 
 def _levels(folder: TileFolder, grid: Grid, tiles: tuple[int, int], half: Callable[[np.ndarray], np.ndarray],
-            compression: str) -> list[_Level]:
-    """Full resolution and all overviews; those from the second on are made here, block row after block row."""
+            coding: Coding) -> list[_Level]:
+    """Full resolution and all overviews, each followed by its mask where there are masks; overviews from the second on are made
+    here, block row after block row."""
     height, width = grid.shape
     heads = [folder.head(k) for k in range(tiles[0] * tiles[1])]
     rows, columns = -(-height // BLOCK), -(-width // BLOCK)
-    full: list[tuple[Path | None, int, int]] = []
-    for r in range(rows):
-        for c in range(columns):
-            k, b = (r // 2) * tiles[1] + c // 2, 2 * (r % 2) + c % 2
-            h = heads[k]
-            full.append((None, 0, 0) if h is None else (folder._path(k), h["start"] + sum(h["blocks"][:b]), h["blocks"][b]))
-    levels = [_Level(width, height, rows, columns, full)]
+    levels = []
+    for mask in (False, True)[:1 + coding.masked]:
+        full: list[tuple[Path | None, int, int]] = []
+        for r in range(rows):
+            for c in range(columns):
+                k, b = (r // 2) * tiles[1] + c // 2, 2 * (r % 2) + c % 2 + 4 * mask
+                h = heads[k]
+                full.append((None, 0, 0) if h is None else (folder._path(k), h["start"] + sum(h["blocks"][:b]), h["blocks"][b]))
+        levels.append(_Level(width, height, rows, columns, full, mask))
     if max(height, width) <= BLOCK:
         return levels
-    first: list[tuple[Path | None, int, int]]
-    first = [(None, 0, 0) if h is None else (folder._path(k), h["start"] + sum(h["blocks"]), h["overview"])
-             for k, h in enumerate(heads)]
-    levels.append(_Level(-(-width // 2), -(-height // 2), *tiles, first))
+    for mask in (False, True)[:1 + coding.masked]:
+        first: list[tuple[Path | None, int, int]]
+        first = [(None, 0, 0) if h is None else (folder._path(k), h["start"] + sum(h["blocks"]) + sum(h["overview"][:mask]),
+                                                 h["overview"][mask]) for k, h in enumerate(heads)]
+        levels.append(_Level(-(-width // 2), -(-height // 2), *tiles, first, mask))
     path = folder.folder / "overviews"
     with open(path, "wb") as stream:
         shape = tiles
@@ -277,8 +334,10 @@ def _levels(folder: TileFolder, grid: Grid, tiles: tuple[int, int], half: Callab
         while max(levels[-1].width, levels[-1].height) > BLOCK:
             shape = -(-shape[0] // 2), -(-shape[1] // 2)
             last = levels[-1]
-            levels.append(_Level(-(-last.width // 2), -(-last.height // 2), *shape, []))
-            makers.append(_Maker(levels[-1], path, stream, half, compression))
+            new = [_Level(-(-last.width // 2), -(-last.height // 2), *shape, [], mask)
+                   for mask in (False, True)[:1 + coding.masked]]
+            levels += new
+            makers.append(_Maker(new, path, stream, half, coding))
         if makers:
             _fill_levels(folder, tiles, makers)
     return levels
@@ -288,28 +347,29 @@ def _levels(folder: TileFolder, grid: Grid, tiles: tuple[int, int], half: Callab
 class _Maker:
     """One overview being written, a row of its blocks at a time."""
 
-    level: _Level
+    levels: list[_Level]  # and its mask, if any
     path: Path
     stream: BinaryIO
     half: Callable[[np.ndarray], np.ndarray]
-    compression: str
+    coding: Coding
     waiting: np.ndarray | None = None
 
     def row(self, picture: np.ndarray) -> np.ndarray:
         """A row of blocks, (BLOCK, columns * BLOCK, 4), goes into the file; gives it at half the resolution."""
-        for c in range(self.level.columns):
+        for c in range(self.levels[0].columns):
             block = picture[:, c * BLOCK:(c + 1) * BLOCK]
             if not block[..., 3].any():
-                self.level.blocks.append((None, 0, 0))
+                for level in self.levels:
+                    level.blocks.append((None, 0, 0))
                 continue
-            data = encode(np.ascontiguousarray(block), self.compression)[0]
-            self.level.blocks.append((self.path, self.stream.tell(), len(data)))
-            self.stream.write(data)
+            for level, data in zip(self.levels, encode(np.ascontiguousarray(block), self.coding), strict=True):
+                level.blocks.append((self.path, self.stream.tell(), len(data)))
+                self.stream.write(data)
         return self.half(np.ascontiguousarray(picture))
 
     def add(self, strip: np.ndarray, last: bool) -> np.ndarray | None:
         """Half a row of blocks, (BLOCK / 2, any, 4); with the other half (or at the end) it becomes a row, given halved."""
-        wide = np.zeros((BLOCK, self.level.columns * BLOCK, 4), np.uint8)
+        wide = np.zeros((BLOCK, self.levels[0].columns * BLOCK, 4), np.uint8)
         if self.waiting is None:
             if not last:
                 self.waiting = strip

@@ -131,52 +131,66 @@ def multiband(shots: Sequence[Shot], shape: tuple[int, int], window: Window, met
     of a photo shines through.
     """
     base, seen = blended(shots, shape, "feather", window, method)
-    if not (seen > 0).any():
+    shown = (seen > 0).astype(np.float32)
+    if not shown.any():
         return base, seen
-    base = _gone_on(base / np.maximum(seen, 1e-12)[..., None], (seen > 0).astype(np.float32))
+    base /= np.maximum(seen, 1e-12)[..., None]
+    base = _gone_on(base, shown)
     if len(shots) < 2:
-        return base, (seen > 0).astype(np.float32)
+        return base, shown
     sums: list[np.ndarray] = []
     weights: list[np.ndarray] = []
+    acc, total = np.empty((*shape, 3), np.float32), np.empty(shape, np.float32)
     for s in shots:
         if s.label is None or not (s.label > 0).any():
             continue
-        acc, total = np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32)
+        acc.fill(0)
+        total.fill(0)
         warp_onto(s.photo, s.lattice, np.ones_like(s.feather), s.bright, s.lattice.good, window, method, False, acc, total)
-        mask = interpolated(s.label, s.lattice.step, shape) * (total > 0)
+        mask = interpolated(s.label, s.lattice.step, shape)
+        mask[total <= 0] = 0
         acc[total == 0] = base[total == 0]
         _add_bands(acc, mask, sums, weights)
     if not sums:
-        return base, (seen > 0).astype(np.float32)
+        return base, shown
     left = np.clip(1 - weights[0], 0, None)  # nobody's: the feathered picture
     if (left > 1e-3).any():
-        _add_bands(base.copy(), left, sums, weights)
-    return _joined(sums, weights), (seen > 0).astype(np.float32)
+        _add_bands(base, left, sums, weights)
+    return _joined(sums, weights), shown
 
 
 def _add_bands(picture: np.ndarray, mask: np.ndarray, sums: list[np.ndarray], weights: list[np.ndarray]) -> None:
+    """Bands of a picture, weighted, onto the sums; one colour after the other, for less memory at a time."""
     import cv2
 
-    for level in range(BANDS + 1):
-        if level < BANDS:
-            small = cv2.pyrDown(picture)
-            band = picture - cv2.pyrUp(small, dstsize=picture.shape[1::-1])
-        else:
-            small, band = picture, picture
-        if len(sums) <= level:
-            sums.append(np.zeros_like(band))
-            weights.append(np.zeros(band.shape[:2], np.float32))
-        sums[level] += band * mask[..., None]
-        weights[level] += mask
-        picture, mask = small, cv2.pyrDown(mask)
+    masks = [mask]
+    for _ in range(BANDS):
+        masks.append(cv2.pyrDown(masks[-1]))
+    if not sums:
+        sums += [np.zeros((*m.shape, 3), np.float32) for m in masks]
+        weights += [np.zeros(m.shape, np.float32) for m in masks]
+    for w, m in zip(weights, masks, strict=True):
+        w += m
+    for colour in range(3):
+        band = np.ascontiguousarray(picture[..., colour])
+        for level, m in enumerate(masks):
+            small = cv2.pyrDown(band) if level < BANDS else band
+            if level < BANDS:
+                band -= cv2.pyrUp(small, dstsize=band.shape[1::-1])
+            sums[level][..., colour] += band * m
+            band = small
 
 
 def _joined(sums: list[np.ndarray], weights: list[np.ndarray]) -> np.ndarray:
+    """The picture of all bands; the sums are used up."""
     import cv2
 
-    picture = sums[-1] / np.maximum(weights[-1], 1e-6)[..., None]
-    for total, weight in zip(sums[-2::-1], weights[-2::-1], strict=True):
-        picture = cv2.pyrUp(picture, dstsize=total.shape[1::-1]) + total / np.maximum(weight, 1e-6)[..., None]
+    for total, weight in zip(sums, weights, strict=True):
+        total /= np.maximum(weight, 1e-6)[..., None]
+    picture = sums[-1]
+    for total in sums[-2::-1]:
+        total += cv2.pyrUp(picture, dstsize=total.shape[1::-1])
+        picture = total
     return picture
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..block import Block
+from ..block import Block, Prior
 from ..cameras import Interior
 from ..errors import BadProject, DegenerateGeometry
 from ..geometry import Exterior, LocalFrame
@@ -70,6 +70,13 @@ class Data:
     def half(self) -> np.ndarray:
         """(m, 2) half formats over c."""
         return np.array([np.array([i.width, i.height]) / 2 * i.pitch / i.c for i in self.interiors])
+
+    @cached_property
+    def whole(self) -> dict[int, Prior]:
+        """Priors of photos, by number, that are orientations with their whole covariance (image corners as control)."""
+        priors = ((k, self.block.images[self.block.image_index(n)].prior) for k, n in enumerate(self.names))
+        return {k: p for k, p in priors if p is not None and p.covariance is not None and p.angles is not None
+                and p.centre is not None} if self.level != "uncontrolled" else {}
 
     @cached_property
     def sigma_px(self) -> float:
@@ -146,12 +153,19 @@ def data_of(block: Block, level: Level | None, reference: str | None) -> Data:
     if has.any():
         gps[has] = frame.to_local(gps[has])
     stated = (block.images[k].prior for k in keep)
-    gps_sigma = np.array([p.sigma_m if p is not None and p.sigma_m is not None else (5.0, 5.0, 10.0) for p in stated], float)
+    gps_sigma = np.array([_gps_sigma(p) for p in stated], float)
     names = tuple(block.images[k].name for k in keep)
     data = Data(block, level, names, tuple(block.cameras[block.images[k].camera] for k in keep), image, point, of.pixel[rows],
                 np.where(np.isfinite(of.sigma[rows]), of.sigma[rows], block.image_px), xyz, np.maximum(sigma, 1e-4), gps,
                 gps_sigma, frame, 0, unused, tuple(said))
     return replace(data, reference=_reference(data, reference))
+
+
+def _gps_sigma(prior: Prior | None) -> np.ndarray:
+    """(3,) m of an onboard position, 5 m and 10 m in height where nothing is stated."""
+    if prior is not None and prior.covariance is not None:
+        return np.sqrt(np.diag(prior.covariance)[:3])
+    return np.array([5.0, 5.0, 10.0]) if prior is None or prior.sigma_m is None else np.asarray(prior.sigma_m, float)
 
 
 def _level(block: Block, level: Level | None, control: np.ndarray, positions: np.ndarray) -> Level:

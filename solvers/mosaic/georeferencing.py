@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from ..errors import DegenerateGeometry
-from ..geometry import LocalFrame
+from ..geometry import LocalFrame, angle_derivatives, rotation
 from .data import Data
 from .models import Exteriors, through
 from .problem import PhotoPriors
@@ -61,11 +61,17 @@ class Placing:
         return np.hstack([centre, (photos[:, 3:].reshape(-1, 3, 3) @ r.T).reshape(-1, 9)])
 
     def priors(self, data: Data) -> PhotoPriors:
-        """Onboard positions as weighted observations."""
+        """Onboard positions as weighted observations, or whole orientations with their covariance where these are known."""
         rows = np.flatnonzero(np.isfinite(data.gps).all(axis=1)) if self.by_gps else np.zeros(0, int)
-        info = np.zeros((len(rows), 6, 6))
+        info, m = np.zeros((len(rows), 6, 6)), np.tile(np.eye(3), (len(rows), 1, 1))
         info[:, [0, 1, 2], [0, 1, 2]] = 1 / data.gps_sigma[rows] ** 2
-        return PhotoPriors(rows, data.gps[rows], np.broadcast_to(np.eye(3), (len(rows), 3, 3)), info)
+        for k, photo in enumerate(rows.tolist()):
+            prior = data.whole.get(photo)
+            if prior is not None and prior.angles is not None and prior.covariance is not None:
+                m[k], j = rotation(*prior.angles), np.eye(6)
+                j[3:, 3:] = np.linalg.pinv(angle_derivatives(m[k]))
+                info[k] = np.linalg.inv(j @ prior.covariance @ j.T)
+        return PhotoPriors(rows, data.gps[rows], m, info)
 
 
 def placing_of(data: Data, h: np.ndarray, found: Found | None, plane: float | str | None = None) -> Placing:
@@ -104,7 +110,7 @@ def placing_of(data: Data, h: np.ndarray, found: Found | None, plane: float | st
     else:
         raise DegenerateGeometry(f"{data.block.name}: of the photos that hang together, fewer than two have a position and fewer "
                                  "than two control points are seen; take --kind uncontrolled")
-    by_gps = exterior and len(placed) >= 2 and (data.level == "semicontrolled" or len(control) < 3)
+    by_gps = exterior and len(placed) >= 2 and (data.level == "semicontrolled" or len(control) < 3 or bool(data.whole))
     controlled = len(control) >= 2 or by_gps
     datum = ("both" if by_gps else "control") if len(control) >= 3 else "prior"
     if not exterior and len(control) < 2:

@@ -230,6 +230,9 @@ def _bundled(data: Data, place: Placing, found: Found, request: RegistrationRequ
             images.append(image)
             continue
         was = image.prior
+        if was is not None and was.covariance is not None and place.by_gps:
+            images.append(image)  # its orientation is observed as a whole
+            continue
         onboard = was is not None and was.centre is not None and place.by_gps
         images.append(Image(image.name, image.camera, image.file, Prior(
             frame.to_map(e.centre) if not onboard else was.centre, e.angles,  # type: ignore[union-attr]

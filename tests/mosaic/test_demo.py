@@ -1,15 +1,15 @@
-"""The demo project's controlled mosaic over its height grid: targets lie where they are, to a part of a ground pixel."""
+"""The demo project's controlled mosaic, registered by its control points, over its height grid: targets lie where they are, to a
+part of a ground pixel."""
 
+import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 
-from solvers import Exterior
-from solvers.adjustment import Trace
-from solvers.geometry import Grid, LocalFrame
-from solvers.io import demo_assets, photo_path, read_project, read_truth
-from solvers.mosaic import Registration
-from solvers.workflows_compose import ComposeRequest, compose_photos
+from solvers.cli import main
+from solvers.geometry import Grid
+from solvers.io import demo_assets, read_truth
 
 
 def off_centre(patch: np.ndarray, start: np.ndarray, reach: float) -> np.ndarray:
@@ -33,26 +33,21 @@ def off_centre(patch: np.ndarray, start: np.ndarray, reach: float) -> np.ndarray
 def test_targets_lie_where_they_are(tmp_path):
     import rasterio
 
-    folder = Path(demo_assets())
-    block, truth = read_project(folder), read_truth(folder)
-    assert truth is not None
-    points = np.array(list(truth["points"].values()))
-    frame, names = LocalFrame.around(points, "local"), tuple(truth["images"])
-    exteriors = []
-    for t in truth["images"].values():
-        omega, phi, kappa = (float(np.radians(t[a])) for a in ("omega_deg", "phi_deg", "kappa_deg"))
-        exteriors.append(Exterior.from_angles(omega, phi, kappa, np.array([t["X"], t["Y"], t["Z"]]) - frame.origin))
-    registration = Registration("exterior", "controlled", "simultaneous", names, tuple(block.camera_of(n) for n in names), None,
-                                tuple(exteriors), np.zeros(3), frame, "m", np.zeros((5, 6, 6)), np.zeros(5), 0.0, Trace((), {}))
-    out = tmp_path / "demo.tif"
-    said = compose_photos(registration, {n: photo_path(folder, block, n) for n in names}, out,
-                          ComposeRequest(surface=str(folder / "dem.tif"), blend="feather"))
+    folder, out = tmp_path / "demo", tmp_path / "demo.tif"
+    shutil.copytree(demo_assets(), folder, ignore=shutil.ignore_patterns("runs"))
+    assert main(["mosaic", str(folder), "-o", str(out), "--surface", str(folder / "dem.tif"), "--workers", "1", "--quiet",
+                 "--json", str(tmp_path / "m.json")]) == 0
+    said, truth = json.loads((tmp_path / "m.json").read_text()), read_truth(folder)
+    assert said["kind"] == "controlled" and all(i["used"] for i in said["images"]) and truth is not None
+    assert said["check_rms_m"] < said["gsd"] / 2 and said["seconds"]["register"] > 0
     assert said["seam_rms"] < 0.5 and said["width"] * said["height"] > 2e6
+    stages = json.loads((Path(said["run"]) / "trace-registration.json").read_text())["stages"]
+    assert stages[-1]["stage"] == "bundle"
     with rasterio.open(out) as data:
         rgba, gsd = data.read(), data.transform.a
         grid = Grid((data.height, data.width), tuple(data.transform)[:6])
     errors = []
-    for point in points:
+    for point in np.array(list(truth["points"].values())):
         at, k = grid.to_pixels(point[:2]), int(np.ceil(1.6 / gsd))
         col, row = np.round(at).astype(int)
         patch = rgba[:, max(row - k, 0):row + k + 1, max(col - k, 0):col + k + 1]
@@ -60,4 +55,4 @@ def test_targets_lie_where_they_are(tmp_path):
             start = at - np.array([col, row])
             errors.append(off_centre(patch[:3].mean(0).astype(np.float32), start, 1.1 / gsd) - start)
     assert len(errors) > 30
-    assert np.abs(np.mean(errors, axis=0)).max() < 0.02 and np.abs(errors).max() < 0.1  # px; half a pixel is asked for
+    assert np.abs(np.mean(errors, axis=0)).max() < 0.05 and np.abs(errors).max() < 0.2  # px; half a pixel is asked for

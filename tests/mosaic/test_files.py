@@ -3,6 +3,9 @@
 import errno
 import importlib.util
 import json
+import shutil
+import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -74,6 +77,73 @@ def test_gdal_reads_it_and_a_pixel_is_where_its_coordinates_say(whole):
     assert np.abs(four.mean(axis=(1, 3)) - small)[inner].max() <= 0.51  # the overview is the mean of four
 
 
+def cloud_optimized(path: Path) -> int:
+    """Checks the layout that readers over a network need; gives the number of overviews: directories first, largest resolution
+    first, then blocks, smallest overview first, whole resolution last, nothing but blocks."""
+    import rasterio
+
+    with rasterio.open(path) as data:
+        count, last, end = len(data.overviews(1)), 0, None
+        for k in range(-1, count):
+            level = {} if k < 0 else {"ovr": k}
+            at = int(data.get_tag_item("IFD_OFFSET", "TIFF", 1, **level))
+            assert at > last and (k >= 0 or at in (8, 16))
+            last = at
+        for k in range(-1, count):
+            level = {} if k < 0 else {"ovr": k}
+            first = min(int(o) for r in range(9) for c in range(9)
+                        if (o := data.get_tag_item(f"BLOCK_OFFSET_{c}_{r}", "TIFF", 1, **level)) is not None and int(o) > 0)
+            assert first > last and (end is None or first <= end)
+            end = first
+        assert all(shape == (512, 512) for shape in data.block_shapes)
+        return count
+
+
+@pytest.fixture(scope="module")
+def coded(files, tmp_path_factory) -> dict[str, Path]:
+    folder, frame = tmp_path_factory.mktemp("coded"), LocalFrame(FRAME.origin, "EPSG:32632")
+    for name, how in {"alpha": ComposeRequest(), "jpeg": ComposeRequest(compression="jpeg"), "nodata": ComposeRequest(nodata=90),
+                      }.items():
+        compose_photos(registration(frame), files, folder / f"{name}.tif", replace(how, gsd=0.12))
+    return {name: folder / f"{name}.tif" for name in ("alpha", "jpeg", "nodata")}
+
+
+def test_alpha_mask_and_nodata_say_the_same_and_all_files_are_cloud_optimized(coded):
+    import rasterio
+
+    with rasterio.open(coded["alpha"]) as data:
+        rgba, seen = data.read(), data.read(4) > 0
+    assert 0.1 < seen.mean() < 0.99
+    for name, path in coded.items():
+        assert cloud_optimized(path) == 2
+        with rasterio.open(path) as data:
+            assert data.count == (4 if name == "alpha" else 3)
+            assert ((data.dataset_mask() > 0) == seen).all()
+            off = np.abs(data.read((1, 2, 3)).astype(int) - rgba[:3])[:, seen]
+            assert off.mean() < 2.5 if name == "jpeg" else off.max() <= (0 if name == "alpha" else 1)
+            assert data.nodata == (90 if name == "nodata" else None)
+            if name == "nodata":
+                assert (data.read()[:, ~seen] == 90).all() and (data.read_masks()[:, seen] > 0).all()
+        with rasterio.open(path, overview_level=0) as small:
+            assert (small.dataset_mask() > 0).mean() == pytest.approx(seen.mean(), abs=0.01)
+    assert coded["jpeg"].stat().st_size < coded["alpha"].stat().st_size / 4
+
+
+@pytest.mark.skipif(shutil.which("gdalinfo") is None, reason="gdalinfo (gdal-bin) is not installed")
+def test_gdalinfo_reads_them(coded):
+    for name, path in coded.items():
+        done = subprocess.run(["gdalinfo", "-json", "-checksum", str(path)], capture_output=True, text=True, check=True)
+        said = json.loads(done.stdout)
+        assert not done.stderr and said["driverShortName"] == "GTiff" and 'ID["EPSG",32632]' in said["coordinateSystem"]["wkt"]
+        bands = said["bands"]
+        assert [b["colorInterpretation"] for b in bands] == ["Red", "Green", "Blue", "Alpha"][:len(bands)]
+        assert all(b["block"] == [512, 512] and len(b["overviews"]) == 2 for b in bands)
+        assert said["geoTransform"][1] == 0.12 and (bands[0].get("noDataValue") == 90) == (name == "nodata")
+        if name == "jpeg":
+            assert bands[0]["mask"]["flags"] == ["PER_DATASET"]
+            assert said["metadata"]["IMAGE_STRUCTURE"]["COMPRESSION"] == "YCbCr JPEG"
+
+
 def test_crs_world_file_and_outlines(files, tmp_path):
     import rasterio
 
@@ -109,11 +179,11 @@ def test_an_interrupted_work_repeats_no_finished_tile(files, whole, tmp_path, mo
     out, total = tmp_path / "m.tif", whole[1]["tiles"]
     real, count = workflows_compose.make_tile, []
 
-    def killed(job, store, compression):
+    def killed(job, store, coding):
         if len(count) == 3:
             raise KeyboardInterrupt
         count.append(job.index)
-        return real(job, store, compression)
+        return real(job, store, coding)
 
     monkeypatch.setattr(workflows_compose, "make_tile", killed)
     with pytest.raises(KeyboardInterrupt):
@@ -122,8 +192,8 @@ def test_an_interrupted_work_repeats_no_finished_tile(files, whole, tmp_path, mo
     spoiled = max(tmp_path.glob(".m.tif.parts/*.tile"))
     spoiled.write_bytes(spoiled.read_bytes()[:-1])  # half-written by a dying machine: done again
     again = []
-    monkeypatch.setattr(workflows_compose, "make_tile", lambda job, store, compression: (
-        again.append(job.index), real(job, store, compression))[1])
+    monkeypatch.setattr(workflows_compose, "make_tile", lambda job, store, coding: (
+        again.append(job.index), real(job, store, coding))[1])
     said = made(out, files)
     assert said["tiles_kept"] == 2 and len(again) == total - 2 and not set(again) & (set(count) - {int(spoiled.stem)})
     assert out.read_bytes() == whole[0].read_bytes()
@@ -165,6 +235,12 @@ def test_bad_outputs_are_named(files, tmp_path):
         made(tmp_path / "m.gif", files)
     with pytest.raises(BadProject, match="no such folder"):
         made(tmp_path / "none" / "m.tif", files)
+    for wrong, said in ((ComposeRequest(nodata=300), "0 to 255"),
+                        (ComposeRequest(nodata=0, compression="jpeg"), "leave --nodata out")):
+        with pytest.raises(BadProject, match=said):
+            made(tmp_path / "m.tif", files, wrong)
+    with pytest.raises(Unsupported, match=r"for \.tif"):
+        made(tmp_path / "m.png", files, ComposeRequest(nodata=0))
     with pytest.raises(BadProject, match="no such height grid"):
         made(tmp_path / "m.tif", files, ComposeRequest(surface=str(tmp_path / "dem.tif")))
 

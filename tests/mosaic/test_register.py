@@ -25,9 +25,12 @@ def flight(rows=3, columns=4, *, noise=0.2, tilt=2.0, relief=0.0, seed=0, gps=Tr
            hinge=False):
     """A block of photos 300 m above a plane at z = 50 m, and its true orientations."""
     rng = np.random.default_rng(seed)
-    poses = [Exterior.from_angles(*np.radians(rng.normal(0, tilt, 2)), np.pi * (r % 2) + rng.normal(0, 0.05),
-                                  np.array([1000 + c * step[0], 2000 + r * step[1], 350.0]) + rng.normal(0, 2, 3))
-             for r in range(rows) for c in range(columns)]
+    poses = []
+    for r, c in np.ndindex(rows, columns):
+        omega, phi = (float(v) for v in np.radians(rng.normal(0, tilt, 2)))
+        kappa = np.pi * (r % 2) + rng.normal(0, 0.05)
+        poses.append(Exterior.from_angles(omega, phi, kappa, np.array([1000 + c * step[0], 2000 + r * step[1], 350.0])
+                                          + rng.normal(0, 2, 3)))
     centre = np.array([p.centre for p in poses])
     low, high = centre[:, :2].min(0) - 130, centre[:, :2].max(0) + 130
     n = per * rows * columns * 2
