@@ -80,7 +80,7 @@ def click(state: State, origin: np.ndarray, direction: np.ndarray, tolerance: fl
         return None
     axis = np.asarray(direction, float) / np.linalg.norm(direction)
     image, near = _met(room.layout, row, _depth(room.layout, room.rows[0]), np.asarray(origin, float), axis)
-    ties = np.flatnonzero(np.array(room.result.roles) == "tie")
+    ties = np.flatnonzero(_roles(room.result) == "tie")
     if room.draw_points and len(ties):
         away = room.layout.places(row.x)[ties] - origin
         along = away @ axis
@@ -264,7 +264,8 @@ def ellipsoid_factor(state: State) -> float:
 @by_identity(2)
 def _usual(result: Judged) -> float:
     """Largest standard error (m) that nine tenths of images and points stay below."""
-    every = np.concatenate([result.image_covariance, result.covariance])
+    some = np.linspace(0, len(result.covariance) - 1, min(len(result.covariance), 2000)).astype(int)
+    every = np.concatenate([result.image_covariance, result.covariance[some]])
     largest = np.sqrt(np.clip(np.linalg.eigvalsh(every)[:, -1], 0, None))
     largest = largest[np.isfinite(largest) & (largest > 0)]
     return float(np.percentile(largest, 90)) if len(largest) else 0.0
@@ -291,16 +292,27 @@ def _ellipsoids(state: State, layout: Layout, row: Iteration) -> Scene:
     result, factor, found = judged(state), CHI_95 * ellipsoid_factor(state), Scene()
     if result is None:
         return found
-    roles, places = np.array(result.roles), layout.places(row.x)
+    roles, places = _roles(result), layout.places(row.x)
     for kind, colour in (("control", theme.CONTROL), ("check", theme.CHECK), ("tie", theme.INITIAL)):
         rows = np.flatnonzero(roles == kind)
-        if kind == "tie" and len(rows) > MOST:
-            rows = rows[np.argsort(-np.einsum("nii->n", result.covariance[rows]))[:MOST]]
+        rows = _largest(result) if kind == "tie" and len(rows) > MOST else rows
         value = _ellipsoid_batch(places[rows], result.covariance[rows], factor, colour)
         if value is not None:
             found[f"/bundle/ellipsoids/{kind}"] = value
     value = _ellipsoid_batch(layout.poses(row.x)[0], result.image_covariance, factor, ink(state))
     return found if value is None else found | {"/bundle/ellipsoids/images": value}
+
+
+@by_identity(2)
+def _roles(result: Judged) -> np.ndarray:
+    return np.array(result.roles)
+
+
+@by_identity(2)
+def _largest(result: Judged) -> np.ndarray:
+    """The tie points (k,) of the largest ellipsoids."""
+    rows = np.flatnonzero(_roles(result) == "tie")
+    return rows[np.argsort(-np.einsum("nii->n", result.covariance[rows]), kind="stable")[:MOST]]
 
 
 def _ellipsoid_batch(centres: np.ndarray, covariance: np.ndarray, factor: float, colour: Colour) -> Ellipsoids | None:

@@ -51,14 +51,22 @@ class Layout:
 
     def places(self, x: np.ndarray) -> np.ndarray:
         """Object points (n, 3) m in the scene's frame."""
-        first = 12 * len(self.images) + 10 * len(self.cameras)
-        return x[first : first + 3 * len(self.points)].reshape(-1, 3) @ self.turn.T + self.shift
+        return _places(self, x)
 
     def interiors_at(self, x: np.ndarray) -> tuple[Interior, ...]:
         first = 12 * len(self.images)
         rows = x[first : first + 10 * len(self.cameras)].reshape(-1, 10)
         return tuple(replace(i, **dict(zip(PARAMETERS, map(float, row), strict=True)))
                      for i, row in zip(self.interiors, rows, strict=True))
+
+
+@by_identity(4)
+def _places(layout: Layout, x: np.ndarray) -> np.ndarray:
+    first = 12 * len(layout.images) + 10 * len(layout.cameras)
+    own = x[first : first + 3 * len(layout.points)].reshape(-1, 3)
+    if np.array_equal(layout.turn, np.eye(3)):
+        return own + layout.shift
+    return np.einsum("nj,ij->ni", own, layout.turn) + layout.shift  # BLAS would wake threads for so little
 
 
 @dataclass(frozen=True, eq=False)
@@ -341,7 +349,8 @@ def layout_of(manifest: Mapping[str, Any], interiors: tuple[Interior, ...], fram
     u, _, vt = np.linalg.svd((at[1:] - at[0]).T / 1000)
     return Layout(
         tuple(manifest["images"]), tuple(manifest["cameras"]), interiors,
-        np.array(manifest["camera_of"], int), tuple(manifest["points"]), manifest, u @ vt, at[0])
+        np.array(manifest["camera_of"], int), tuple(manifest["points"]), manifest,
+        np.eye(3) if own.cartesian else u @ vt, at[0])
 
 
 @by_identity(4)
