@@ -64,6 +64,7 @@ def add(commands: Any) -> None:
     export.add_argument("project", metavar="PROJECT")
     export.add_argument("--html", metavar="FILE", help="one page that plays the adjustment, without a server or network")
     export.add_argument("--rrd", metavar="FILE", help="recording for rerun's viewer")
+    export.add_argument("--png", metavar="FILE", help="picture of the scene, 3840 x 2160 pixels; needs Chromium or Chrome")
     export.add_argument("--csv", metavar="FOLDER", help="points, images and orientations as tables")
     export.add_argument("--zip", metavar="FILE", help="the project folder, photos included, without what is derived")
 
@@ -156,9 +157,9 @@ def _export(args: argparse.Namespace) -> int:
     from .errors import BadProject
     from .io import read_project
 
-    wishes = {kind: Path(getattr(args, kind)) for kind in ("html", "rrd", "csv", "zip") if getattr(args, kind)}
+    wishes = {kind: Path(getattr(args, kind)) for kind in ("html", "rrd", "png", "csv", "zip") if getattr(args, kind)}
     if not wishes:
-        raise BadProject("nothing to export; say what: --html FILE, --rrd FILE, --csv FOLDER or --zip FILE")
+        raise BadProject("nothing to export; say what: --html FILE, --rrd FILE, --png FILE, --csv FOLDER or --zip FILE")
     read_project(args.project)  # says what is wrong with the folder before anything is written
     files = [str(path) for path in export(Path(args.project), wishes)]
     emit(args, {"project": str(args.project), "files": files}, "\n".join(files))

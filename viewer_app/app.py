@@ -23,6 +23,7 @@ from .home import home
 from .jobs import Jobs
 from .keeping import Keeper, resume
 from .loading import bring, open_project
+from .overlay import view_through
 from .paint_viser import Painter
 from .palette import complete
 from .picking import pick
@@ -206,6 +207,7 @@ class App:
         server.scene.set_up_direction("+z")
         server.scene.world_axes.visible = False
         server.scene.configure_default_lights(cast_shadow=False)
+        self._before: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray, float]] = {}
         self._home: tuple[np.ndarray, np.ndarray, float] | None = None
         server.initial_camera.fov = np.radians(45)
         self._look()
@@ -259,12 +261,30 @@ class App:
         """Turn the view of the browser that asked."""
         for number, client in self.server.get_clients().items():
             camera = client.camera
-            if action.client not in (None, number):
+            if action.client not in (None, number) and action.what != "back":
+                continue
+            if action.what in ("through", "back"):
+                self._through(client, action)
                 continue
             to = flight(self._state, action, np.array(camera.position), np.array(camera.look_at))
             if to is not None:
                 with client.atomic():
                     camera.position, camera.look_at = to
+
+    def _through(self, client: viser.ClientHandle, action: Fly) -> None:
+        """Put a browser's eye into an image's perspective centre, or back to where it came from."""
+        camera = client.camera
+        if action.what == "through":
+            to = view_through(self._state, action.name, camera.image_width / max(camera.image_height, 1))
+            if to is not None:
+                here = np.array(camera.position), np.array(camera.look_at), np.array(camera.up_direction), float(camera.fov)
+                self._before.setdefault(client.client_id, here)
+        else:
+            to = self._before.pop(client.client_id, None)
+        if to is not None:
+            with client.atomic():
+                camera.up_direction = to[2]
+                camera.position, camera.look_at, camera.fov = to[0], to[1], to[3]
 
     def _theme(self, dark: bool) -> None:
         if dark != self._dark:
@@ -284,7 +304,7 @@ class App:
         meanings = [*(tab.click for tab in tabs() if tab.click), pick]
         action = next((a for meant in meanings if (a := meant(self._state, *ray)) is not None), None)
         if action is not None:
-            self.emit(action)
+            self.emit(asked_by(action, event.client.client_id))
 
 
 def run(

@@ -10,13 +10,17 @@ from .acting import Action, handles, update
 from .actions import ChooseImage, ChoosePoint
 from .bundle_state import place
 from .ground import site
+from .looking import look_through, looked_through
 from .scene import any_exterior, frustum_depth
 from .state import State
 
 
 @dataclass(frozen=True)
 class Fly(Action):
-    """Choose a point or an image and let the browser that asked look at it. client: its number, None for all."""
+    """Choose a point or an image and let the browser that asked look at it, or "through" an image, or "back" from there.
+
+    client: its number, None for all.
+    """
 
     what: str
     name: str
@@ -27,7 +31,13 @@ class Fly(Action):
 def _fly(state: State, action: Fly) -> State:
     if action.what == "point":
         return update(state, ChoosePoint(action.name))
-    return update(state, ChooseImage(action.name)) if action.what == "image" else state
+    if action.what == "back":
+        return look_through(state, "")
+    if action.what not in ("image", "through"):
+        return state
+    state = update(state, ChooseImage(action.name))
+    there = action.what == "through" and state.image == action.name and any_exterior(state, action.name) is not None
+    return look_through(state, action.name) if there else state
 
 
 def flight(state: State, action: Fly, position: np.ndarray, look_at: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
@@ -51,6 +61,11 @@ def flight(state: State, action: Fly, position: np.ndarray, look_at: np.ndarray)
     length = float(np.linalg.norm(way))
     way = way / length if length > 1e-9 else np.array([0.4, -0.8, 0.45])
     return at + far * way, at
+
+
+def through(state: State) -> Fly:
+    """Through the chosen image, or back where one looks through it already."""
+    return Fly("back", "") if looked_through(state) else Fly("through", state.image)
 
 
 def asked_by(action: Action, client: int | None) -> Action:

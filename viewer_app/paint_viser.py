@@ -15,6 +15,7 @@ from solvers import Exterior
 from solvers.geometry import to_opencv
 
 from .tones import sent
+<<<<<<< HEAD
 from .values import (
     Ellipsoid,
     Ellipsoids,
@@ -30,6 +31,9 @@ from .values import (
     Value,
     linear,
 )
+=======
+from .values import Ellipsoid, Frusta, Frustum, Label, Mesh, Overlay, Plane, PointCloud, Scene, Segments, Value, linear
+>>>>>>> bd99433 (Viewer: figures of a solution, look through a photo)
 
 
 class Painter:
@@ -357,8 +361,26 @@ def _change_label(nodes: list[Any], old: Label, new: Label) -> bool:
     return True
 
 
+<<<<<<< HEAD
 @lru_cache(maxsize=2)
 def _sphere(rows: int = 17, columns: int = 32) -> tuple[np.ndarray, np.ndarray]:
+=======
+def _add_overlay(scene: viser.SceneApi, path: str, value: Overlay) -> list[Any]:
+    from .overlay import textured_glb
+
+    return [scene.add_glb(path, textured_glb(value), cast_shadow=False, receive_shadow=False)]
+
+
+def _change_overlay(nodes: list[Any], old: Overlay, new: Overlay) -> bool:
+    from .overlay import textured_glb
+
+    nodes[0].glb_data = textured_glb(new)
+    return True
+
+
+@lru_cache(maxsize=1)
+def _sphere() -> tuple[np.ndarray, np.ndarray]:
+>>>>>>> bd99433 (Viewer: figures of a solution, look through a photo)
     """Vertices and faces of a unit sphere, by latitude and longitude."""
     lat, lon = np.linspace(-np.pi / 2, np.pi / 2, rows), 2 * np.pi * np.arange(columns) / columns
     a, b = np.meshgrid(lat, lon, indexing="ij")
@@ -380,7 +402,11 @@ ADD: dict[type, Callable[[viser.SceneApi, str, Any], list[Any]]] = {
     Ellipsoids: _add_ellipsoids,
     Plane: _add_plane,
     Mesh: _add_mesh,
+<<<<<<< HEAD
     Picture: _add_picture,
+=======
+    Overlay: _add_overlay,
+>>>>>>> bd99433 (Viewer: figures of a solution, look through a photo)
     Label: _add_label,
 }
 CHANGE: dict[type, Callable[[list[Any], Any, Any], bool]] = {
@@ -389,6 +415,7 @@ CHANGE: dict[type, Callable[[list[Any], Any, Any], bool]] = {
     Segments: _change_segments,
     PointCloud: _change_cloud,
     Ellipsoid: _change_ellipsoid,
+    Overlay: _change_overlay,
     Plane: _change_plane,
     Picture: _change_picture,
     Label: _change_label,

@@ -4,24 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 
-from .actions import Action, ChooseImage, SwitchPoint
+from .actions import Action, SwitchPoint
+from .flying import Fly
+from .looking import looked_through
 from .scene import frustum_depth
 from .state import MODELS, State
 
 
 def pick(state: State, origin: np.ndarray, direction: np.ndarray, tolerance: float) -> Action | None:
-    """Switch the point, or choose the image, within an angle (rad) of the ray from `origin` (3,) along `direction` (3,)."""
+    """Switch the point, or look through the image, within an angle (rad) of the ray from `origin` (3,) along `direction` (3,)."""
     axis = np.asarray(direction, float) / np.linalg.norm(direction)
     names = state.block.points.names
     xyz = state.assets.frame.to_local(state.block.points.xyz)
-    image, near = _image(state, np.asarray(origin, float), axis)
+    image, near = (None, np.inf) if looked_through(state) else _image(state, np.asarray(origin, float), axis)
     if len(names):
         off, distance = _off_ray(xyz, np.asarray(origin, float), axis)
         off[~np.isfinite(off)] = np.inf
         best = int(np.argmin(off))
         if off[best] <= tolerance and distance[best] < near:
             return SwitchPoint(names[best])
-    return ChooseImage(image) if image else None
+    return Fly("through", image) if image else None
 
 
 def _off_ray(xyz: np.ndarray, origin: np.ndarray, axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -15,6 +15,7 @@ from . import theme
 from .bundle_state import exterior as bundled
 from .ground import ground, known_points, nice, points, site
 from .kept import by_identity
+from .looking import looked_through
 from .spots import spots
 from .state import MODELS, ONE_PASS, PRINTED, WITH_PRIOR, Assets, State, Work
 from .values import Ellipsoid, Frusta, Frustum, Label, Plane, Scene, Segments, dashed, frustum_corners
@@ -207,7 +208,7 @@ def _image(state: State, name: str, depth: float) -> Scene:
     px, py = interior.pitch
     lens = 2 * float(np.arctan(interior.height * py / 2 / interior.c)), interior.width * px / (interior.height * py)
     photo = state.assets.photos.get(name)
-    thumbnail = photo.thumbnail if photo and view.photos else None
+    thumbnail = photo.thumbnail if photo and view.photos and looked_through(state) != name else None
     for model in MODELS:
         exterior = state.exterior(model, name)
         if exterior is None or not getattr(view, model):

@@ -91,7 +91,7 @@ def _wanted(path: Path) -> bool:
 
 
 def export(folder: Path, wishes: dict[str, Path]) -> list[Path]:
-    """Solve a project and write what is wished for: html, rrd, csv (a folder), zip. Gives the files written.
+    """Solve a project and write what is wished for: html, rrd, png, csv (a folder), zip. Gives the files written.
 
     Raises PhotogrammetryError.
     """
@@ -122,6 +122,12 @@ def export(folder: Path, wishes: dict[str, Path]) -> list[Path]:
     if "rrd" in wishes:
         recording(state, wishes["rrd"])
         written.append(wishes["rrd"])
+    if "png" in wishes:
+        from .pictures import scene_png
+
+        picture = scene_png(state)
+        write_atomic(wishes["png"], lambda stream: stream.write(picture))
+        written.append(wishes["png"])
     if "csv" in wishes:
         wishes["csv"].mkdir(parents=True, exist_ok=True)
         for name, text in tables(state).items():

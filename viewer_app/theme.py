@@ -30,6 +30,11 @@ def foreground(dark: bool) -> Colour:
     return FOREGROUND_DARK if dark else FOREGROUND_LIGHT
 
 
+def background(dark: bool) -> Colour:
+    """The colour behind the scene."""
+    return BACKGROUND_DARK if dark else BACKGROUND_LIGHT
+
+
 def legend(dark: bool = False) -> dict[str, Colour]:
     """Every word of the legend with its colour, in the order shown."""
     return {"initial": INITIAL, **MODELS, "truth": foreground(dark), "control": CONTROL, "check": CHECK, "residual": RESIDUAL}

@@ -18,6 +18,8 @@ from tests.viewer.sessions import HEAVY, Session, camera_path, demo_session, has
 from viewer_app import theme
 from viewer_app.actions import ChooseImage, ChoosePoint, ForgetSpots, Show, Step, UsePoints
 from viewer_app.app import App
+from viewer_app.figures import CORRELATION, ELEMENTS, FIGURES
+from viewer_app.looking import looked_through
 from viewer_app.photo_view import percent, window
 from viewer_app.scene import scene
 from viewer_app.spots import plotted
@@ -455,6 +457,52 @@ def test_a_rectangle_on_the_photo_chooses_control_and_all_solutions_stand_beside
     v.wait_until(lambda: not app.state.work.off, "all points")
     v.open_tab("Iterations")
     v.open_tab("Orientation")
+
+
+# -- figures, and through a photo
+
+
+def test_figures_of_the_solution_are_chosen_in_the_panel(session: Session) -> None:
+    app, v = session
+    v.open_tab("Iterations")
+    v.choose("Figure", CORRELATION)
+    for model in ("perspective", "orthogonal"):
+        v.page.get_by_role("img", name=f"Correlation, {model}").wait_for()
+    v.hotkey("p")
+    drawn = v.page.get_by_role("img", name=f"Residuals on the photo {app.state.image}")
+    drawn.wait_for()
+    assert drawn.locator("[data-residual]").count() >= 2 * len(app.state.control()) * 0.8
+    v.choose("Figure", ELEMENTS)
+    v.page.get_by_role("img", name="|κ − final| °").locator("rect").first.click()
+    v.wait_until(lambda: app.state.row == 0, "row 0")
+    app.emit(Step("last"))
+    v.choose("Figure", FIGURES[0])
+    v.page.get_by_role("img", name="σ0").wait_for()
+
+
+def test_one_looks_through_a_frustum_and_returns(session: Session) -> None:
+    app, v = session
+    image = app.state.image
+    camera = next(iter(app.server.get_clients().values())).camera
+    before = np.array(camera.position), camera.fov
+    v.hotkey("l")
+    v.wait_nodes("/through")
+    exterior = app.state.exterior("perspective")
+    assert exterior is not None and looked_through(app.state) == image
+    v.wait_until(lambda: np.allclose(camera.position, exterior.centre, atol=1e-3), "the eye in the perspective centre")
+    block = app.state.block
+    # a measured point of the ground and its image lie over each other
+    rows = block.seen_in(image, ("control",))
+    xyz = app.state.assets.frame.to_local(block.points.xyz[block.observations.point[rows]])
+    drawn = np.array([v.project(p) for p in xyz])
+    pixel = block.observations.pixel[rows]
+    scale = np.linalg.lstsq(np.column_stack([pixel, np.ones(len(pixel))]), drawn, rcond=None)[0]
+    off = np.column_stack([pixel, np.ones(len(pixel))]) @ scale - drawn
+    assert np.abs(off).max() < 1.0  # px of the screen
+    v.hotkey("Escape")
+    v.wait_until(lambda: np.allclose(camera.position, before[0], atol=1e-3), "the way back")
+    assert abs(camera.fov - before[1]) < 1e-6
+    v.wait_until(lambda: not looked_through(app.state), "no photo over the scene")
 
 
 # -- ways out

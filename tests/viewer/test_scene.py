@@ -14,6 +14,7 @@ from tests.viewer.test_actions import solve_all  # type: ignore[import-not-found
 from viewer_app import theme
 from viewer_app.actions import ChoosePoint, Show, Step, SwitchPoint, update
 from viewer_app.export import frustum_corners, glb, ply
+from viewer_app.flying import Fly
 from viewer_app.ground import lowered, nice
 from viewer_app.paint_viser import equal, frustum_pose
 from viewer_app.picking import pick
@@ -173,7 +174,7 @@ def test_a_click_means_the_point_under_it_or_the_image(solved: State) -> None:
     frustum = scene(solved)["/images/right/perspective/camera"]
     middle = frustum_corners(frustum).mean(axis=0)  # type: ignore[arg-type]
     chosen = pick(solved, eye, middle - eye, 1e-4)
-    assert chosen is not None and chosen.image == "right"  # type: ignore[union-attr]
+    assert chosen == Fly("through", "right")
 
 
 def test_projects_with_less_still_make_a_scene(solved: State) -> None:

@@ -6,7 +6,9 @@ from typing import Any
 
 import viser
 
-from ..actions import Cancel, ChooseImage, ChoosePoint, Redo, Set, Solve, SwitchPoint, Undo, UsePoints
+from ..actions import Action, Cancel, ChooseImage, ChoosePoint, Redo, Set, Solve, SwitchPoint, Undo, UsePoints
+from ..flying import Fly
+from ..looking import looked_through
 from ..state import FORMS, PRIORS, State
 from ..tabs import Command, Desk, Tab
 from .tables import orientation_table, point_table, words
@@ -124,6 +126,11 @@ def _heard_point(state: State, value: Any) -> SwitchPoint | None:
     return SwitchPoint(value) if isinstance(value, str) else None
 
 
+def _escape(state: State) -> Action:
+    """Back from a photo looked through; else stop solving."""
+    return Fly("back", "") if looked_through(state) else Cancel()
+
+
 TAB = Tab(
     "Orientation",
     OrientationPanel,
@@ -132,7 +139,7 @@ TAB = Tab(
         Command("Undo", Undo(), "Z", "cmd/ctrl", "Take back the last change."),
         Command("Redo", Redo(), "Y", "cmd/ctrl", "Bring back the change taken back last."),
         Command("Solve again", Solve(), "enter", "cmd/ctrl", "Solve everything anew."),
-        Command("Cancel solving", Cancel(), "escape", hint="Stop; the next change solves again."),
+        Command("Cancel solving", _escape, "escape", hint="Stop; the next change solves again. Looking through a photo: back."),
     ),
     heard={"point": _heard_point},
 )

@@ -13,8 +13,11 @@ from solvers.io import write_project
 from .. import export, theme
 from ..actions import ChooseImage, Saved, Say, Show
 from ..bridge import Wire
+from ..flying import asked_by, through
+from ..looking import Looking, Opacity, looked_through
+from ..overlay import overlay
 from ..state import MODELS, State, measured
-from ..tabs import Desk, Tab, whole_scene
+from ..tabs import Command, Desk, Tab, whole_scene
 from .rerun import RerunPanel
 from .widgets import BOX, MUTED, Html, bind, esc, prop, put, swatch, table
 
@@ -124,6 +127,14 @@ class ScenePanel:
         )
         bind(self._vectors, emit, lambda value: Show("vectors", float(value)))
         bind(self._ellipsoid, emit, lambda value: Show("ellipsoid", float(value)))
+        self._opacity = gui.add_slider(
+            "Photo opacity", 0.0, 1.0, 0.05, 0.6, hint="Of the photo over the scene while you look through it, 0 to 1."
+        )
+        bind(self._opacity, emit, lambda value: Opacity(float(value)))
+        self._through = gui.add_button(
+            "Look through", hint="Your view goes into the chosen image's perspective centre, its photo over the scene. Key: L."
+        )
+        self._through.on_click(lambda event: emit(asked_by(through(desk.state()), event.client_id)))
         self._shown = {name: gui.add_checkbox(label, name != "compared", hint=hint) for name, label, hint in SHOWN}
         for name, handle in self._shown.items():
             bind(handle, emit, lambda value, name=name: Show(name, bool(value)))
@@ -132,6 +143,8 @@ class ScenePanel:
         for handle, value in ((self._vectors, state.view.vectors), (self._ellipsoid, state.view.ellipsoid)):
             prop(handle, "max", max(1000.0, value))
             put(handle, max(value, 1.0))
+        put(self._opacity, state.room(Looking).opacity)
+        prop(self._through, "label", "Back to the scene" if looked_through(state) else "Look through")
         for name, handle in self._shown.items():
             put(handle, getattr(state.view, name))
 
@@ -177,5 +190,14 @@ def _heard_image(state: State, value: Any) -> ChooseImage | None:
 
 TAB = (
     Tab("Project", ProjectPanel, order=90, heard={"image": _heard_image}),
-    Tab("Scene", ScenePanel, place="below", order=30),
+    Tab(
+        "Scene",
+        ScenePanel,
+        place="below",
+        order=30,
+        scene=overlay,
+        commands=(
+            Command("Look through the image, or back", through, "L", hint="A click on a frustum does the same; Esc returns."),
+        ),
+    ),
 )

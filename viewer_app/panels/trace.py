@@ -11,12 +11,20 @@ import viser
 from solvers.adjustment import Iteration
 
 from ..actions import GoTo, Play, Speed, Step
+<<<<<<< HEAD
 from ..bundle_scene import alone, ink
 from ..bundle_state import Bundle
 from ..state import MODELS, State
 from ..tabs import Command, Desk, Tab
 from ..theme import MODELS as COLOURS
 from ..theme import Colour
+=======
+from ..figures import CORRELATION, ELEMENTS, FIGURES, RESIDUALS, ChooseFigure, Figure
+from ..state import MODELS, State
+from ..tabs import Command, Desk, Tab
+from ..theme import MODELS as COLOURS
+from .figures import correlation_html, elements_html, residuals_html
+>>>>>>> bd99433 (Viewer: figures of a solution, look through a photo)
 from .plots import Curve, plot
 from .widgets import BOX, MUTED, Html, bind, prop, put, swatch
 
@@ -46,6 +54,13 @@ class TracePanel:
 
         self._speed = gui.add_slider("Rows per second", 0.5, 20.0, 0.5, 2.0, hint="Speed of play, rows per second.")
         bind(self._speed, emit, lambda value: Speed(float(value)))
+        self._figure = gui.add_dropdown(
+            "Figure",
+            FIGURES,
+            hint="σ0, cost and step; every element minus its final value; correlations of the elements; residual vectors over "
+            "the photo. Key: P.",
+        )
+        bind(self._figure, emit, ChooseFigure)
         self._text = Html(gui)
 
     def draw(self, state: State) -> None:
@@ -53,7 +68,20 @@ class TracePanel:
         prop(self._slider, "disabled", state.last_row == 0)
         put(self._slider, state.shown_row)
         put(self._speed, state.speed)
-        self._text.set(f"<div {BOX}>{self._rows(state)}{self._plots(state)}</div>")
+        put(self._figure, state.room(Figure).name)
+        self._text.set(f"<div {BOX}>{self._rows(state)}{self._drawn(state)}</div>")
+
+    def _drawn(self, state: State) -> str:
+        """The chosen figure."""
+        name = state.room(Figure).name
+        if name == CORRELATION:
+            return correlation_html(state)
+        if name == RESIDUALS:
+            return residuals_html(state) if state.block.images else ""
+        return elements_html(state, self._button) if name == ELEMENTS else self._plots(state)
+
+    def _button(self, row: int, hint: str) -> str:
+        return self._wire.attributes("row", str(row), hint)
 
     def _rows(self, state: State) -> str:
         lines = []
@@ -73,14 +101,16 @@ class TracePanel:
         if not traces:
             return ""
 
-        def button(row: int, hint: str) -> str:
-            return self._wire.attributes("row", str(row), hint)
-
         drawn = []
         for title, name in PLOTS:
+<<<<<<< HEAD
             curves = [Curve(n, np.array([getattr(r, name) for r in rows], float), colour) for n, rows, colour in traces]
             last = max(len(rows) for _, rows, _ in traces) - 1
             drawn.append(plot(title, curves, min(state.shown_row, last), last, button))
+=======
+            curves = [Curve(m, np.array([getattr(r, name) for r in s.rows], float), COLOURS[m]) for m, s in solutions]
+            drawn.append(plot(title, curves, state.shown_row, state.last_row, self._button))
+>>>>>>> bd99433 (Viewer: figures of a solution, look through a photo)
         return f'<div style="margin-top:6px;display:flex">{"".join(drawn)}</div>'
 
 
@@ -118,6 +148,7 @@ TAB = Tab(
         Command("Next row", Step("next"), "arrowright"),
         Command("Last row", Step("last"), "end"),
         Command("Play or pause", Play(), "space"),
+        Command("Next figure", ChooseFigure(), "P", hint="Convergence, elements, correlation or residuals."),
     ),
     heard={"row": _heard_row},
 )
