@@ -15,7 +15,6 @@ from solvers import Exterior
 from solvers.geometry import to_opencv
 
 from .tones import sent
-<<<<<<< HEAD
 from .values import (
     Ellipsoid,
     Ellipsoids,
@@ -23,6 +22,7 @@ from .values import (
     Frustum,
     Label,
     Mesh,
+    Overlay,
     Picture,
     Plane,
     PointCloud,
@@ -31,9 +31,6 @@ from .values import (
     Value,
     linear,
 )
-=======
-from .values import Ellipsoid, Frusta, Frustum, Label, Mesh, Overlay, Plane, PointCloud, Scene, Segments, Value, linear
->>>>>>> bd99433 (Viewer: figures of a solution, look through a photo)
 
 
 class Painter:
@@ -361,10 +358,6 @@ def _change_label(nodes: list[Any], old: Label, new: Label) -> bool:
     return True
 
 
-<<<<<<< HEAD
-@lru_cache(maxsize=2)
-def _sphere(rows: int = 17, columns: int = 32) -> tuple[np.ndarray, np.ndarray]:
-=======
 def _add_overlay(scene: viser.SceneApi, path: str, value: Overlay) -> list[Any]:
     from .overlay import textured_glb
 
@@ -378,9 +371,8 @@ def _change_overlay(nodes: list[Any], old: Overlay, new: Overlay) -> bool:
     return True
 
 
-@lru_cache(maxsize=1)
-def _sphere() -> tuple[np.ndarray, np.ndarray]:
->>>>>>> bd99433 (Viewer: figures of a solution, look through a photo)
+@lru_cache(maxsize=2)
+def _sphere(rows: int = 17, columns: int = 32) -> tuple[np.ndarray, np.ndarray]:
     """Vertices and faces of a unit sphere, by latitude and longitude."""
     lat, lon = np.linspace(-np.pi / 2, np.pi / 2, rows), 2 * np.pi * np.arange(columns) / columns
     a, b = np.meshgrid(lat, lon, indexing="ij")
@@ -402,11 +394,8 @@ ADD: dict[type, Callable[[viser.SceneApi, str, Any], list[Any]]] = {
     Ellipsoids: _add_ellipsoids,
     Plane: _add_plane,
     Mesh: _add_mesh,
-<<<<<<< HEAD
-    Picture: _add_picture,
-=======
     Overlay: _add_overlay,
->>>>>>> bd99433 (Viewer: figures of a solution, look through a photo)
+    Picture: _add_picture,
     Label: _add_label,
 }
 CHANGE: dict[type, Callable[[list[Any], Any, Any], bool]] = {

@@ -97,7 +97,6 @@ class Mesh:
 
 
 @dataclass(frozen=True, eq=False)
-<<<<<<< HEAD
 class Picture:
     """A picture (h, w, 4) uint8 spread over a rectangle: corners (4, 3) of its outer edges, top left, top right, bottom right,
     bottom left."""
@@ -105,7 +104,9 @@ class Picture:
     corners: np.ndarray
     rgba: np.ndarray
     opacity: float = 1.0
-=======
+
+
+@dataclass(frozen=True, eq=False)
 class Overlay:
     """A picture (h, w, 3) uint8 on a mesh: vertices (n, 3), faces (k, 3), places (n, 2) in the picture, 0..1 from its corner."""
 
@@ -114,7 +115,6 @@ class Overlay:
     places: np.ndarray
     pixels: np.ndarray
     opacity: float
->>>>>>> bd99433 (Viewer: figures of a solution, look through a photo)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,10 +159,6 @@ def linear(colours: np.ndarray) -> np.ndarray:
     return np.round(255 * np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)).astype(np.uint8)
 
 
-<<<<<<< HEAD
-Value = Frustum | Frusta | Segments | PointCloud | Ellipsoid | Ellipsoids | Plane | Mesh | Picture | Label
-=======
-Value = Frustum | Frusta | Segments | PointCloud | Ellipsoid | Plane | Mesh | Overlay | Label
->>>>>>> bd99433 (Viewer: figures of a solution, look through a photo)
+Value = Frustum | Frusta | Segments | PointCloud | Ellipsoid | Ellipsoids | Plane | Mesh | Picture | Overlay | Label
 Scene = dict[str, Value]
 """Entity path -> value; the same paths in viser and rerun."""

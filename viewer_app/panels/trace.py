@@ -11,20 +11,14 @@ import viser
 from solvers.adjustment import Iteration
 
 from ..actions import GoTo, Play, Speed, Step
-<<<<<<< HEAD
 from ..bundle_scene import alone, ink
 from ..bundle_state import Bundle
-from ..state import MODELS, State
-from ..tabs import Command, Desk, Tab
-from ..theme import MODELS as COLOURS
-from ..theme import Colour
-=======
 from ..figures import CORRELATION, ELEMENTS, FIGURES, RESIDUALS, ChooseFigure, Figure
 from ..state import MODELS, State
 from ..tabs import Command, Desk, Tab
 from ..theme import MODELS as COLOURS
+from ..theme import Colour
 from .figures import correlation_html, elements_html, residuals_html
->>>>>>> bd99433 (Viewer: figures of a solution, look through a photo)
 from .plots import Curve, plot
 from .widgets import BOX, MUTED, Html, bind, prop, put, swatch
 
@@ -103,14 +97,9 @@ class TracePanel:
 
         drawn = []
         for title, name in PLOTS:
-<<<<<<< HEAD
             curves = [Curve(n, np.array([getattr(r, name) for r in rows], float), colour) for n, rows, colour in traces]
             last = max(len(rows) for _, rows, _ in traces) - 1
-            drawn.append(plot(title, curves, min(state.shown_row, last), last, button))
-=======
-            curves = [Curve(m, np.array([getattr(r, name) for r in s.rows], float), COLOURS[m]) for m, s in solutions]
-            drawn.append(plot(title, curves, state.shown_row, state.last_row, self._button))
->>>>>>> bd99433 (Viewer: figures of a solution, look through a photo)
+            drawn.append(plot(title, curves, min(state.shown_row, last), last, self._button))
         return f'<div style="margin-top:6px;display:flex">{"".join(drawn)}</div>'
 
 
