@@ -9,9 +9,9 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
-import viser
 
 from solvers import Unsupported
 
@@ -73,7 +73,7 @@ def _browser(program: str, url: str) -> Iterator[None]:
                 process.wait()
 
 
-def _client(server: viser.ViserServer) -> viser.ClientHandle:
+def _client(server: Any) -> Any:
     """The browser once it is there. Raises Unsupported."""
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
@@ -83,7 +83,7 @@ def _client(server: viser.ViserServer) -> viser.ClientHandle:
     raise Unsupported(f"Chromium did not show the scene within {PATIENCE:.0f} s; is it able to start on this machine?")
 
 
-def _still(client: viser.ClientHandle, size: tuple[int, int]) -> np.ndarray:
+def _still(client: Any, size: tuple[int, int]) -> np.ndarray:
     """The picture (h, w, 4) once nothing comes any more: small ones first, until two agree. Raises Unsupported."""
     end, before = time.monotonic() + PATIENCE, None
     while time.monotonic() < end:

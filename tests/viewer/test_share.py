@@ -6,16 +6,22 @@ import io
 import json
 import shutil
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image as Picture
 
 from solvers import PhotogrammetryError
 from solvers.cli import main
 from solvers.io import read_project
 from tests.browser import LOCAL, chromium_page, require_chromium
 from tests.viewer.sessions import DEMO
-from viewer_app.share import project_zip
+from tests.viewer.test_actions import solve_all  # type: ignore[import-not-found]
+from viewer_app.pictures import scene_png
+from viewer_app.share import project_zip, replay_html
+from viewer_app.state import State
 
 
 @pytest.fixture(scope="module")
@@ -81,3 +87,28 @@ def test_the_replay_plays_from_disk_without_a_server(shared: Path) -> None:
         moved = "([n, p]) => window.__viserMutable.nodePoseData[n].position.some((v, i) => Math.abs(v - p[i]) > 1e-3)"
         page.wait_for_function(moved, arg=[name, first], timeout=60_000)
         assert log.errors == [] and not [url for url in log.requests if not LOCAL.match(url)]
+
+
+def test_a_picture_without_a_browser_is_a_sentence(monkeypatch: pytest.MonkeyPatch, state: State) -> None:
+    monkeypatch.setattr("viewer_app.pictures.shutil.which", lambda name: None)
+    with pytest.raises(PhotogrammetryError, match="needs Chromium or Chrome.*install"):
+        scene_png(state)
+
+
+@pytest.mark.browser
+@pytest.mark.timeout(240)
+def test_the_scene_is_drawn_as_a_picture_of_the_size_asked_for(state: State) -> None:
+    require_chromium()
+    drawn = np.asarray(Picture.open(io.BytesIO(scene_png(state, (270, 480)))), int)
+    assert drawn.shape == (270, 480, 3) and tuple(drawn[2, 2]) == (255, 255, 255)
+    assert (np.abs(drawn - 255).sum(axis=2) > 24).mean() > 0.02  # something is drawn
+
+
+def test_a_replay_of_fifty_rows_stays_below_ten_megabytes(state: State) -> None:
+    rows = solve_all(state).solution("perspective")
+    assert rows and rows.orientation
+    last = rows.rows[-1]
+    many = [replace(last, index=k, x=last.x + np.r_[0.7**k, 0.3 * 0.7**k, 0.7**k, np.zeros(len(last.x) - 3)]) for k in range(50)]
+    solutions = {("left", "perspective"): replace(rows, rows=tuple(many))}
+    text = replay_html(replace(state, work=replace(state.work, solutions=solutions), row=49))
+    assert 1e5 < len(text.encode()) < 10e6

@@ -1,0 +1,76 @@
+"""The pictures of the README, from the real viewer on the demo in Chromium: `python docs/make_animation.py`.
+
+docs/converging.webp: the adjustment row by row; docs/viewer-1280.png and docs/viewer-2560.png: the viewer as it opens.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+
+from PIL import Image
+
+DOCS = Path(__file__).resolve().parent
+sys.path.insert(0, str(DOCS.parent))
+
+from tests.browser import ViserPage, viser_page  # noqa: E402
+from viewer_app.actions import GoTo, Show  # noqa: E402
+from viewer_app.app import App  # noqa: E402
+from viewer_app.figures import ELEMENTS, ChooseFigure  # noqa: E402
+
+SIZE, HOLD, END = (1280, 800), 700, 3000
+"""Pixels of the page; how long a row is shown and how long the last one, milliseconds."""
+WIDTH = 960
+LARGEST = 2_000_000
+
+
+def ready(app: App, v: ViserPage) -> None:
+    """Until the browser shows what the state says."""
+    v.wait_until(app.settled, "the viewer", 200)
+    v.wait_frames(2, timeout=120)
+    v.page.wait_for_timeout(2500)  # labels and fonts come after the frame
+    v.wait_frames(1, timeout=120)
+
+
+def still(app: App, size: tuple[int, int], path: Path) -> None:
+    with viser_page(app.port, size=size) as v:
+        v.dismiss_notifications()
+        ready(app, v)
+        v.screenshot(path)
+
+
+def converging(app: App, path: Path) -> None:
+    """Every row of the chosen image's own adjustments as one frame of an animation. The slider ends where they end."""
+    with viser_page(app.port, size=SIZE) as v:
+        v.dismiss_notifications()
+        last = max(len(s.rows) for m in ("perspective", "orthogonal") if (s := app.state.solution(m))) - 1
+        frames = []
+        for row in range(last + 1):
+            app.emit(GoTo(row))
+            ready(app, v)
+            frames.append(v.screenshot().resize((WIDTH, WIDTH * SIZE[1] // SIZE[0]), Image.Resampling.LANCZOS))
+    times = [HOLD * 2, *[HOLD] * (len(frames) - 2), END]
+    for quality in (88, 75, 60, 40):
+        frames[0].save(path, save_all=True, append_images=frames[1:], duration=times, loop=0, quality=quality, method=5)
+        if path.stat().st_size < LARGEST:
+            return
+    raise SystemExit(f"{path} is larger than {LARGEST} bytes")
+
+
+def main() -> None:
+    folder = Path(tempfile.mkdtemp()) / "demo"
+    shutil.copytree(DOCS.parent / "assets" / "demo", folder, ignore=shutil.ignore_patterns("runs"))
+    with App(folder) as app:
+        still(app, SIZE, DOCS / "viewer-1280.png")
+        app.emit(ChooseFigure(ELEMENTS))
+        app.emit(Show("compared", False))
+        converging(app, DOCS / "converging.webp")
+        app.emit(Show("dark", True))
+        still(app, (2560, 1440), DOCS / "viewer-2560.png")
+    shutil.rmtree(folder.parent)
+
+
+if __name__ == "__main__":
+    main()
