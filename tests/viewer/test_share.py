@@ -91,7 +91,7 @@ def test_the_replay_plays_from_disk_without_a_server(shared: Path) -> None:
 
 def test_a_picture_without_a_browser_is_a_sentence(monkeypatch: pytest.MonkeyPatch, state: State) -> None:
     monkeypatch.setattr("viewer_app.pictures.shutil.which", lambda name: None)
-    with pytest.raises(PhotogrammetryError, match="needs Chromium or Chrome.*install"):
+    with pytest.raises(PhotogrammetryError, match=r"needs Chromium or Chrome.*install"):
         scene_png(state)
 
 
