@@ -1,6 +1,8 @@
 """The one legend: the same colours in scene, plots, recording and report, told apart by colour-blind people too.
 
-Reference: Okabe & Ito 2008, "Color universal design"; their eight colours, each used once.
+Okabe and Ito's eight colours, each used once; the brightest a little darker, for the scene's film curve (`tones`) has to reach them.
+
+Reference: Okabe & Ito 2008, "Color universal design".
 """
 
 from __future__ import annotations
@@ -10,15 +12,15 @@ Colour = tuple[int, int, int]
 
 INITIAL: Colour = (128, 128, 128)  # approximate value, grey
 PERSPECTIVE: Colour = (0, 114, 178)  # blue
-ORTHOGONAL: Colour = (230, 159, 0)  # orange
+ORTHOGONAL: Colour = (220, 149, 24)  # orange
 GEOREFERENCED: Colour = (0, 158, 115)  # direct georeferencing, bluish green
 CONTROL: Colour = (204, 121, 167)  # control points, reddish purple
-CHECK: Colour = (86, 180, 233)  # check points, sky blue
-RESIDUAL: Colour = (213, 94, 0)  # residual vectors, vermilion
+CHECK: Colour = (86, 180, 226)  # check points, sky blue
+RESIDUAL: Colour = (211, 94, 8)  # residual vectors, vermilion
 
 BACKGROUND_DARK: Colour = (30, 32, 36)
 BACKGROUND_LIGHT: Colour = (255, 255, 255)
-FOREGROUND_DARK: Colour = (235, 235, 235)
+FOREGROUND_DARK: Colour = (226, 226, 226)
 FOREGROUND_LIGHT: Colour = (20, 20, 20)
 TRUTH: Colour = FOREGROUND_LIGHT  # truth of a simulation on a light ground; `foreground` knows both
 

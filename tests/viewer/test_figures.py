@@ -14,13 +14,16 @@ import pytest
 from solvers.cameras import project
 from tests.viewer.conftest import CAMERA, make_state
 from tests.viewer.test_actions import solve_all  # type: ignore[import-not-found]
-from viewer_app.actions import update
+from viewer_app import theme
+from viewer_app.actions import Show, update
 from viewer_app.figures import FIGURES, ChooseFigure, Figure, correlation, to_final
 from viewer_app.flying import Fly, through
 from viewer_app.looking import Looking, Opacity, looked_through
 from viewer_app.overlay import overlay, textured_glb, view_through
 from viewer_app.panels.figures import correlation_html, elements_html, residuals_html
-from viewer_app.scene import sight
+from viewer_app.panels.legend import legend_html
+from viewer_app.panels.widgets import css
+from viewer_app.scene import sight, vector_scale
 from viewer_app.state import State
 from viewer_app.values import Overlay
 
@@ -68,6 +71,13 @@ def test_residual_vectors_are_drawn_to_the_scale_they_name(solved: State) -> Non
     mine = html[html.index("perspective:") - 200 :]
     drawn = np.array([[float(v) for v in pair] for pair in re.findall(r"perspective: .*?l(-?[\d.]+) (-?[\d.]+)", mine)])
     assert np.allclose(drawn, times * seen.residuals, atol=0.06)
+
+
+def test_the_legend_names_every_colour_and_exaggeration(solved: State) -> None:
+    for dark in (False, True):
+        html = legend_html(update(solved, Show("dark", dark)))
+        assert all(css(colour) in html for colour in theme.legend(dark).values())
+        assert f"ground × {vector_scale(solved):g}" in html and f"ellipsoids × {max(solved.view.ellipsoid, 1):g}" in html
 
 
 def test_looking_through_an_image_and_back(solved: State) -> None:

@@ -19,7 +19,7 @@ from ..overlay import overlay
 from ..state import MODELS, State, measured
 from ..tabs import Command, Desk, Tab, whole_scene
 from .rerun import RerunPanel
-from .widgets import BOX, MUTED, Html, bind, esc, prop, put, swatch, table
+from .widgets import BOX, Html, bind, esc, prop, put, swatch, table
 
 SHOWN = (
     (
@@ -150,7 +150,7 @@ class ScenePanel:
 
 
 def project_html(state: State, wire: Wire) -> str:
-    """The project, its images with their state, and the legend."""
+    """The project and its images with their state."""
     block, frame = state.block, state.assets.frame
     roles = [f"{block.points.role.count(r)} {r}" for r in ("control", "check", "tie") if r in block.points.role]
     origin = ", ".join(f"{v:.0f}" for v in frame.origin)
@@ -173,15 +173,8 @@ def project_html(state: State, wire: Wire) -> str:
             (f"{wire.attributes('image', image.name, 'choose ' + image.name)} {weight}", (esc(image.name), str(seen), *state_of))
         )
     head = ("image", "points", *(f"{swatch(theme.MODELS[m])}rms px" for m in MODELS))
-    legend = " ".join(
-        f'<span style="white-space:nowrap;margin-right:.8em">{swatch(c)}{esc(w)}</span>'
-        for w, c in theme.legend(state.view.dark).items()
-    )
     lines = "".join(f"<div>{f}</div>" for f in facts)
-    return (
-        f'<div {BOX}>{lines}<div style="height:6px"></div>{table(head, rows, "Images", 200)}<div style="height:6px"></div>'
-        f"<div {MUTED}>Legend</div><div>{legend}</div></div>"
-    )
+    return f'<div {BOX}>{lines}<div style="height:6px"></div>{table(head, rows, "Images", 200)}</div>'
 
 
 def _heard_image(state: State, value: Any) -> ChooseImage | None:
