@@ -1,4 +1,4 @@
-"""The pictures of the README, from the real viewer on the demo in Chromium: `python docs/make_animation.py`.
+"""The pictures of the README, from the real viewer on the demo in Chromium: `python docs/make_animation.py [FOLDER]`.
 
 docs/converging.webp: the adjustment row by row; docs/viewer-1280.png and docs/viewer-2560.png: the viewer as it opens.
 """
@@ -23,6 +23,8 @@ from viewer_app.figures import ELEMENTS, ChooseFigure  # noqa: E402
 SIZE, HOLD, END = (1280, 800), 700, 3000
 """Pixels of the page; how long a row is shown and how long the last one, milliseconds."""
 WIDTH = 960
+QUIET = "[role=alert] { display: none !important }"
+"""Without the notice that nothing but the processor draws."""
 LARGEST = 2_000_000
 
 
@@ -36,7 +38,7 @@ def ready(app: App, v: ViserPage) -> None:
 
 def still(app: App, size: tuple[int, int], path: Path) -> None:
     with viser_page(app.port, size=size) as v:
-        v.dismiss_notifications()
+        v.page.add_style_tag(content=QUIET)
         ready(app, v)
         v.screenshot(path)
 
@@ -44,7 +46,7 @@ def still(app: App, size: tuple[int, int], path: Path) -> None:
 def converging(app: App, path: Path) -> None:
     """Every row of the chosen image's own adjustments as one frame of an animation. The slider ends where they end."""
     with viser_page(app.port, size=SIZE) as v:
-        v.dismiss_notifications()
+        v.page.add_style_tag(content=QUIET)
         last = max(len(s.rows) for m in ("perspective", "orthogonal") if (s := app.state.solution(m))) - 1
         frames = []
         for row in range(last + 1):
@@ -59,18 +61,18 @@ def converging(app: App, path: Path) -> None:
     raise SystemExit(f"{path} is larger than {LARGEST} bytes")
 
 
-def main() -> None:
+def main(out: Path = DOCS) -> None:
     folder = Path(tempfile.mkdtemp()) / "demo"
     shutil.copytree(DOCS.parent / "assets" / "demo", folder, ignore=shutil.ignore_patterns("runs"))
     with App(folder) as app:
-        still(app, SIZE, DOCS / "viewer-1280.png")
+        still(app, SIZE, out / "viewer-1280.png")
         app.emit(ChooseFigure(ELEMENTS))
         app.emit(Show("compared", False))
-        converging(app, DOCS / "converging.webp")
+        converging(app, out / "converging.webp")
         app.emit(Show("dark", True))
-        still(app, (2560, 1440), DOCS / "viewer-2560.png")
+        still(app, (2560, 1440), out / "viewer-2560.png")
     shutil.rmtree(folder.parent)
 
 
 if __name__ == "__main__":
-    main()
+    main(*map(Path, sys.argv[1:2]))

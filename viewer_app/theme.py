@@ -1,6 +1,6 @@
 """The one legend: the same colours in scene, plots, recording and report, told apart by colour-blind people too.
 
-Okabe and Ito's eight colours, each used once, the brightest a little darker: the film curve of the scene (`tones`) has to reach them.
+Okabe and Ito's eight colours, each used once, the brightest a little darker: the scene's film curve (`tones`) must reach them.
 
 Reference: Okabe & Ito 2008, "Color universal design".
 """
