@@ -313,9 +313,10 @@ def _texture(normal, variance, slope_energy, count, gain, limit):
     least, most = mean - half_gap, mean + half_gap
     need = 2.0 * variance * gain / (limit * limit)
     # Where noise has as much slope as texture, least squares follows the noise; small windows tell the two apart less surely.
-    need = max(need, (1.0 + 20.0 / math.sqrt(count)) * bias)
-    if not most > need or not most > 1e-12 * count:
+    share = 1.5 + 0.1 * max(0.0, 21.0 - math.sqrt(count))
+    if not most > max(need, 2.0 * share * bias) or not most > 1e-12 * count:
         return NO_TEXTURE
+    need = max(need, share * bias)
     if not least > need or least < 1e-4 * most:
         return EDGE_ONLY
     return OK
