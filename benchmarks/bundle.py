@@ -7,12 +7,14 @@ seven rays to a point; start off by 0.5 m and 0.5 degrees, c by 0.4 %. The camer
 that our photo-to-ideal correction and pycolmap's SIMPLE_PINHOLE are the same model and the costs can be compared digit by digit;
 with --free every freed parameter of ours is paid for in time, and the peer stays as it is.
 pycolmap runs hand-tuned (centred coordinates, free gauge, function tolerance 1e-8) and by its defaults, where it is installed.
-CPU seconds disturb least on a busy machine; peak memory is that of the whole process.
+CPU seconds disturb least on a busy machine; peak memory is that of the whole process, and above what the imports
+and the block took. --tools chooses some of: collinea, tuned, defaults. After each block the ratios to the first tool are printed.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import importlib.util
 import json
 import os
@@ -195,25 +197,32 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=os.cpu_count())
     parser.add_argument("--free", default="c,xp,yp")
     parser.add_argument("--covariance", action="store_true")
+    parser.add_argument("--tools", default="collinea,tuned,defaults")
     parser.add_argument("--run", help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.run:
         b = block(args.images[0])
+        importlib.import_module("numba" if args.run == "collinea" else "pycolmap")
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         done = (run_ours(b, args.threads, tuple(args.free.split(",")), args.covariance) if args.run == "collinea"
                 else run_pycolmap(b, args.threads, args.run == "pycolmap tuned", args.covariance
                                   and args.run == "pycolmap tuned"))
-        print("RESULT", json.dumps(done | {"peak": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024}))
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        print("RESULT", json.dumps(done | {"peak": peak, "above": peak - before}))
         return
     tools = ["collinea", *(["pycolmap tuned", "pycolmap defaults"] if importlib.util.find_spec("pycolmap") else [])]
-    if len(tools) == 1:
-        print("pycolmap is not installed here: ours alone")
+    tools = [tool for tool in tools if tool.split()[-1] in args.tools.split(",")]
+    if tools == ["collinea"]:
+        print("pycolmap is not asked for or not installed here: ours alone")
     environment = os.environ | {f"{name}_NUM_THREADS": str(args.threads) for name in ("OPENBLAS", "OMP", "MKL")}
     for m in args.images:
         b = block(m)
         print(f"\n{m} images, {len(b['xyz'])} points, {len(b['image'])} observations, {args.threads} thread(s), "
               f"load {os.getloadavg()[0]:.1f}")
         print(f"{'':18s} {'cost':>16s} {'iterations':>10s} {'build s':>8s} {'solve s':>8s} {'CPU s':>8s} {'peak MB':>8s} "
+              f"{'above MB':>8s} "
               f"{'covariance s':>12s} {'CPU s':>8s}")
+        first: dict[str, float] = {}
         for tool in tools:
             words = [sys.executable, __file__, str(m), "--threads", str(args.threads), "--free", args.free, "--run", tool,
                      *(["--covariance"] if args.covariance else [])]
@@ -224,8 +233,14 @@ def main() -> None:
                 continue
             r = json.loads(lines[0][7:])
             print(f"{tool:18s} {r['cost']:16.6f} {r['iterations']:10d} {r['build']:8.2f} {r['solve']:8.2f} {r['cpu']:8.2f} "
-                  f"{r['peak']:8.0f} {r.get('covariance', float('nan')):12.2f} {r.get('covariance cpu', float('nan')):8.2f}",
+                  f"{r['peak']:8.0f} "
+                  f"{r['above']:8.0f} {r.get('covariance', float('nan')):12.2f} {r.get('covariance cpu', float('nan')):8.2f}",
                   flush=True)
+            if first:
+                kinds = ("solve", "cpu", "peak", "above", "covariance cpu")
+                print(" " * 18, "ratios to the first: " + ", ".join(f"{k} {r[k] / max(first[k], 1e-9):.2f}" for k in kinds
+                                                                    if k in r and k in first), flush=True)
+            first = first or r
 
 
 if __name__ == "__main__":

@@ -136,6 +136,34 @@ def add_three(typing, target, t, source, k, x, y, z):
 
 
 @intrinsic
+def add_one(typing, target, t, source, k, x):
+    """target.flat[t:t+6] += x source.flat[k:k+6]."""
+    return types.void(target, t, source, k, x), _row(1, 6, True)
+
+
+@intrinsic
+def add_left(typing, target, t, left, k, blocks, block, factor):
+    """The (3, 6) at target.flat[t] += factor times the (3, 6) at left.flat[k] times blocks[block] (6, 6)."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        kinds = signature.args
+        to = _at(context, builder, kinds[0], args[0], _whole(builder, args[1], kinds[1]))
+        by = _at(context, builder, kinds[2], args[2], _whole(builder, args[3], kinds[3]))
+        at = builder.mul(_whole(builder, args[5], kinds[5]), ir.Constant(ir.IntType(64), 36))
+        matrix = _at(context, builder, kinds[4], args[4], at)
+        factors = [[builder.fmul(args[6], builder.load(builder.gep(by, [ir.Constant(ir.IntType(64), 6 * c + s)])))
+                    for s in range(6)] for c in range(3)]
+        for at, wide in _PARTS:
+            rows = [_load(builder, matrix, 6 * s + at, wide) for s in range(6)]
+            for c in range(3):
+                place = _place(builder, to, 6 * c + at, wide)
+                builder.store(_sum(builder, builder.load(place, align=8), factors[c], rows, wide), place, align=8)
+        return context.get_dummy_value()
+
+    return types.void(target, t, left, k, blocks, block, factor), generate
+
+
+@intrinsic
 def add_two(typing, target, t, source, k, x, y):
     """target.flat[t:t+6] += x times and y times the six that begin two rows of derivatives (2, 20)."""
     return types.void(target, t, source, k, x, y), _row(2, 20, True)
@@ -202,5 +230,5 @@ def add_outer(typing, target, t, x, y, a, b, c, d, e, f):
     return types.void(target, t, x, y, a, b, c, d, e, f), generate
 
 
-__all__ = ["add_outer", "add_product", "add_ten", "add_three", "add_two", "dot_six", "dot_ten", "set_six", "set_ten", "set_two",
-           "subtract_product"]
+__all__ = ["add_left", "add_one", "add_outer", "add_product", "add_ten", "add_three", "add_two", "dot_six", "dot_ten", "set_six",
+           "set_ten", "set_two", "subtract_product"]

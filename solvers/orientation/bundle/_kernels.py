@@ -14,6 +14,8 @@ import numba
 import numpy as np
 
 from ...adjustment._kernels import (
+    add_left,
+    add_one,
     add_outer,
     add_product,
     add_ten,
@@ -417,7 +419,7 @@ def carry(p0, p1, start, image, camera, pixel, weight, kind, poses, cameras, poi
 @plain
 def judge(p0, p1, live, longest, start, image, camera, pixel, weight, kind, poses, cameras, points, photo, first, count, which, V,
           lut, Q, QB, QC, covariance, computed, residual):
-    """From the inverse where it is stored (Q (b, 6, 6), QB (m, 6, k), QC (k, k)): covariance (n, 3, 3) of the points and, where
+    """From the inverse where it is stored (Q (b, 6, 6), QB (m, k, 6), QC (k, k)): covariance (n, 3, 3) of the points and, where
     `computed` (o, 2, 2) has room, the covariance of every computed observation over its own variance, with the standardized
     residual (o, 2)."""
     border = len(which)
@@ -425,18 +427,22 @@ def judge(p0, p1, live, longest, start, image, camera, pixel, weight, kind, pose
     r = np.zeros(2)
     J = np.zeros((longest, 2, 20))
     E = np.zeros((longest, 3, 6))
-    P = np.zeros((longest, 6, 3))
-    EB = np.zeros((3, border))
-    PB = np.zeros((border, 3))
+    T = np.zeros((longest, 3, 6))  # E Q, first half of it, the column of the block that belongs to an image
+    EB = np.zeros((max(border, 1), 4))
+    PB = np.zeros((max(border, 1), 4))
+    columns = np.zeros(border, np.int64)
+    row = np.zeros(len(count), np.int64)
+    since = np.full(len(count), -1)
     L = np.zeros(6)
     I3 = np.zeros((3, 3))
-    T = np.zeros((2, 6))
-    TB = np.zeros((2, border))
+    A = np.zeros((3, 3))
+    H = np.zeros((2, 6))
+    HB = np.zeros((2, 10))
     K = np.zeros((2, 3))
     for p in range(p0, p1):
         o0 = start[p]
         n = start[p + 1] - o0
-        EB[:] = 0.0
+        many = 0
         I3[:] = 0.0
         if p < live:
             root(V, p, 0.0, L)
@@ -457,97 +463,91 @@ def judge(p0, p1, live, longest, start, image, camera, pixel, weight, kind, pose
                 residual[o, 0] = r[0]
                 residual[o, 1] = r[1]
             for c in range(3):
-                k0 = I3[c, 0] * J[e, 0, 6] + I3[c, 1] * J[e, 0, 7] + I3[c, 2] * J[e, 0, 8]
-                k1 = I3[c, 0] * J[e, 1, 6] + I3[c, 1] * J[e, 1, 7] + I3[c, 2] * J[e, 1, 8]
-                for s in range(6):
-                    E[e, c, s] = k0 * J[e, 0, s] + k1 * J[e, 1, s]
-                f = first[camera[i]]
-                for s in range(count[camera[i]]):
-                    EB[c, f + s] += k0 * J[e, 0, 9 + which[f + s]] + k1 * J[e, 1, 9 + which[f + s]]
-        for e in range(n):  # P = Q E^T, row of the block that belongs to this image
-            i = image[o0 + e]
-            for s in range(6):
+                K[0, c] = I3[c, 0] * J[e, 0, 6] + I3[c, 1] * J[e, 0, 7] + I3[c, 2] * J[e, 0, 8]
+                K[1, c] = I3[c, 0] * J[e, 1, 6] + I3[c, 1] * J[e, 1, 7] + I3[c, 2] * J[e, 1, 8]
+                set_two(E, 18 * e + 6 * c, J, 40 * e, K[0, c], K[1, c])
+            k = camera[i]
+            f = first[k]
+            if border > 0 and since[k] != p:
+                since[k] = p
+                row[k] = many
+                for s in range(count[k]):
+                    columns[many] = f + s
+                    EB[many] = 0.0
+                    many += 1
+            for s in range(count[k]):
+                w = 9 + which[f + s]
+                add_outer(EB, 4 * (row[k] + s), J[e, 0, w], J[e, 1, w], K[0, 0], K[0, 1], K[0, 2], K[1, 0], K[1, 1], K[1, 2])
+        A[:] = 0.0
+        for s in range(many):
+            PB[s] = 0.0
+            for t in range(many):
                 for c in range(3):
-                    t = 0.0
-                    for k in range(border):
-                        t += QB[i, s, k] * EB[c, k]
-                    P[e, s, c] = t
-        for k in range(border):
-            for c in range(3):
-                t = 0.0
-                for s in range(border):
-                    t += QC[k, s] * EB[c, s]
-                PB[k, c] = t
-        for e in range(n):
-            i = image[o0 + e]
-            for s in range(6):
-                for c in range(3):
-                    for k in range(border):
-                        PB[k, c] += QB[i, s, k] * E[e, c, s]
-            for d in range(e, n):
-                block = lut[i, image[o0 + d]]
-                for s in range(6):
-                    for c in range(3):
-                        t = 0.0
-                        for k in range(6):
-                            t += Q[block, s, k] * E[d, c, k]
-                        P[e, s, c] += t
-                if d != e:
-                    for k in range(6):
-                        for c in range(3):
-                            t = 0.0
-                            for s in range(6):
-                                t += Q[block, s, k] * E[e, c, s]
-                            P[d, k, c] += t
-        if p < live:
+                    PB[s, c] += QC[columns[s], columns[t]] * EB[t, c]
             for b in range(3):
                 for c in range(3):
-                    t = I3[b, c]
-                    for e in range(n):
-                        for s in range(6):
-                            t += E[e, b, s] * P[e, s, c]
-                    for k in range(border):
-                        t += EB[b, k] * PB[k, c]
-                    covariance[p, b, c] = t
+                    A[b, c] += 0.5 * EB[s, b] * PB[s, c]
+        for e in range(n):
+            i = image[o0 + e]
+            T[e] = 0.0
+            for t in range(many):
+                for c in range(3):
+                    add_one(T, 18 * e + 6 * c, QB, 6 * (border * i + columns[t]), EB[t, c])
+        for e in range(n):
+            i = image[o0 + e]
+            add_left(T, 18 * e, E, 18 * e, Q, lut[i, i], 0.5)
+            for d in range(e + 1, n):
+                add_left(T, 18 * d, E, 18 * e, Q, lut[i, image[o0 + d]], 1.0)
+        if p < live:
+            for e in range(n):
+                for b in range(3):
+                    for c in range(3):
+                        A[b, c] += dot_six(T, 18 * e + 6 * b, E, 18 * e + 6 * c)
+            for b in range(3):
+                for c in range(3):
+                    covariance[p, b, c] = I3[b, c] + A[b, c] + A[c, b]
         if whole:
+            for e in range(n):  # the other half
+                i = image[o0 + e]
+                add_left(T, 18 * e, E, 18 * e, Q, lut[i, i], 0.5)
+                for c in range(3):
+                    for t in range(many):
+                        PB[t, c] += dot_six(QB, 6 * (border * i + columns[t]), E, 18 * e + 6 * c)
+                    for d in range(e + 1, n):
+                        block = lut[i, image[o0 + d]]
+                        for s in range(6):
+                            T[e, c, s] += dot_six(Q, 36 * block + 6 * s, E, 18 * d + 6 * c)
             for e in range(n):
                 o = o0 + e
                 i = image[o]
-                f = first[camera[i]]
-                m = count[camera[i]]
+                k = camera[i]
+                f = first[k]
+                m = count[k]
                 block = lut[i, i]
                 for b in range(2):
                     for t in range(6):
-                        x = 0.0
-                        for s in range(6):
-                            x += J[e, b, s] * Q[block, s, t]
-                        for k in range(m):
-                            x += J[e, b, 9 + which[f + k]] * QB[i, t, f + k]
-                        T[b, t] = x
+                        x = dot_six(J, 40 * e + 20 * b, Q, 36 * block + 6 * t)
+                        for s in range(m):
+                            x += J[e, b, 9 + which[f + s]] * QB[i, f + s, t]
+                        H[b, t] = x
                     for t in range(m):
-                        x = 0.0
-                        for s in range(6):
-                            x += J[e, b, s] * QB[i, s, f + t]
-                        for k in range(m):
-                            x += J[e, b, 9 + which[f + k]] * QC[f + k, f + t]
-                        TB[b, t] = x
+                        x = dot_six(J, 40 * e + 20 * b, QB, 6 * (border * i + f + t))
+                        for s in range(m):
+                            x += J[e, b, 9 + which[f + s]] * QC[f + s, f + t]
+                        HB[b, t] = x
                     for c in range(3):
-                        x = 0.0
-                        for s in range(6):
-                            x += J[e, b, s] * P[e, s, c]
-                        for k in range(m):
-                            x += J[e, b, 9 + which[f + k]] * PB[f + k, c]
+                        x = dot_six(J, 40 * e + 20 * b, T, 18 * e + 6 * c)
+                        for s in range(m):
+                            x += J[e, b, 9 + which[f + s]] * PB[row[k] + s, c]
                         K[b, c] = x
                 for b in range(2):
                     for d in range(2):
-                        x = 0.0
-                        for s in range(6):
-                            x += T[b, s] * J[e, d, s]
-                        for k in range(m):
-                            x += TB[b, k] * J[e, d, 9 + which[f + k]]
+                        x = dot_six(H, 6 * b, J, 40 * e + 20 * d)
+                        for s in range(m):
+                            x += HB[b, s] * J[e, d, 9 + which[f + s]]
                         if p < live:
                             for c in range(3):
                                 x -= K[b, c] * J[e, d, 6 + c] + J[e, b, 6 + c] * K[d, c]
-                                for k in range(3):
-                                    x += J[e, b, 6 + c] * covariance[p, c, k] * J[e, d, 6 + k]
+                                for s in range(3):
+                                    x += J[e, b, 6 + c] * covariance[p, c, s] * J[e, d, 6 + s]
                         computed[o, b, d] = x

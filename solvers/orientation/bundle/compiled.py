@@ -266,12 +266,13 @@ class Compiled:
         made.V[loose(made.V)[:, None], [0, 2, 5]] *= 1 + LOOSE
         reduced = self.reduce(made, 0.0)
         q, qb, qc = reduced.inverse()
-        qb = np.ascontiguousarray(qb.reshape(m, 6, f))
+        qb = qb.reshape(m, 6, f)
+        turned = np.ascontiguousarray(np.swapaxes(qb, 1, 2))
         points = np.empty((live, 3, 3))
         o = len(net.image) if observations else 0
         computed, residual = np.empty((o, 2, 2)), np.empty((o, 2))
-        self._each(lambda _, a, b: self._kernels.judge(a, b, live, self.longest, *made.at, made.V, self.lut, q, qb, qc, points,
-                                                       computed, residual))
+        self._each(lambda _, a, b: self._kernels.judge(a, b, live, self.longest, *made.at, made.V, self.lut, q, turned, qc,
+                                                       points, computed, residual))
         if not np.isfinite(points).all():
             raise np.linalg.LinAlgError("a point is not determined by its rays")
         poses = q[self.lut[np.arange(m), np.arange(m)]]
@@ -304,7 +305,7 @@ class Compiled:
         small = np.linalg.inv(h @ motion)
         drift = (small @ images.T).reshape(k7, m, 6).swapaxes(0, 1)  # (m, 7, 6): what every datum direction shares with a pose
         drifts = small @ objects  # (live, 7, 3)
-        centre = small @ (np.einsum("npc,nqc->pq", right, objects) + border.T @ shared) @ small.T
+        centre = small @ (np.tensordot(right, objects, ((0, 2), (0, 2))) + border.T @ shared) @ small.T
         out = []
         for covariance, d, way in ((poses, drift, motion[:6 * m].reshape(m, 6, k7)),
                                    (points, drifts, motion[6 * m + f:].reshape(live, 3, k7)),
