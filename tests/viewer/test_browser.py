@@ -140,6 +140,19 @@ def test_frustums_stand_where_the_solution_is(session: Session) -> None:
         v.wait_until(lambda model=model: has_pose(app, v, camera_path(app, model)), f"the {model} frustum")
 
 
+def test_map_coordinates_arrive_to_a_millimetre(session: Session) -> None:
+    """UTM metres have seven digits before the point: what the browser holds, plus the origin, is the solver's centre."""
+    app, v = session
+    frame = app.state.assets.frame
+    for model in ("perspective", "orthogonal"):
+        path = camera_path(app, model)
+        v.wait_until(lambda path=path: has_pose(app, v, path), "the frustum")
+        solution, shown = app.state.solution(model), v.pose(path)
+        assert solution and solution.orientation and shown
+        centre = solution.orientation.exterior.centre
+        assert centre[1] > 1e6 and np.abs(frame.to_map(np.array([shown["position"]]))[0] - centre).max() < 1e-3
+
+
 # -- stepping
 
 

@@ -27,9 +27,10 @@ def solutions(state: State) -> dict[str, Solution]:
 def elements_html(state: State, button: Button) -> str:
     """|element - final| of both models over the rows, logarithmic: six plots on the slider's axis."""
     differences = {m: np.abs(to_final(s)) for m, s in solutions(state).items()}
+    last = max((len(d) for d in differences.values()), default=1) - 1
     drawn = [
         plot(f"|{name} − final| {'m' if k < 3 else '°'}", [Curve(m, d[:, k], COLOURS[m]) for m, d in differences.items()],
-             state.shown_row, state.last_row, button)
+             min(state.shown_row, last), last, button)
         for k, name in enumerate(NAMES)
     ]
     rows = "".join(f'<div style="display:flex">{"".join(drawn[k : k + 3])}</div>' for k in (0, 3))
