@@ -59,8 +59,8 @@ class MosaicPanel:
         self._cancel.on_click(lambda _: emit(CancelMosaic()))
         self._progress = Html(gui)
         self._view(desk)
-        self._summary = Html(gui)
         self._clicks(desk)
+        self._summary = Html(gui)
         self._files(desk)
 
     def _button(self, label: str, hint: str, act: Callable[[], Action]) -> Any:

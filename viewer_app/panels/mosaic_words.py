@@ -69,7 +69,6 @@ def summary_html(room: Mosaic) -> str:
                     "",
                     (
                         f"{swatch(COLOURS[method])}{method}",
-                        esc(said["kind"]),
                         f"{len(made.registration.names)}",
                         f"{said['rms_px']:.2f}",
                         "–" if held is None else f"{held['median_px']:.2f}",
@@ -79,14 +78,14 @@ def summary_html(room: Mosaic) -> str:
                 )
             )
     unit = next(iter(room.made.values())).registration.unit
-    head = ("", "kind", "photos", "ties px", "held px", f"σ {unit}", "check m")
+    head = ("", "photos", "ties px", "held px", f"σ {unit}", "check m")
     made = room.current
     notes = "" if made is None else _notes(made)
     return f"<div {BOX}>{table(head, rows, 'Mosaics')}{notes}</div>"
 
 
 def _notes(made: Made) -> str:
-    tiles = f"{len(made.tiles)} tiles of {made.gsd:.3g} {made.registration.unit} a pixel"
+    tiles = f"{made.said['kind']}; {len(made.tiles)} tiles of {made.gsd:.3g} {made.registration.unit} a pixel"
     if made.done and made.renewed < made.total:
         tiles += f", {made.renewed} made anew by the last change"
     lost = [f"<div>{esc(i['name'])} is not in it: {esc(i['why'])}</div>" for i in made.said["images"] if not i["used"]]
