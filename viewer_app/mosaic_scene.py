@@ -341,6 +341,9 @@ def _residuals(state: State, room: Mosaic, made: Made) -> Scene:
 def _scale(state: State, made: Made, factor: float, name: str, what: str, line: int) -> Scene:
     """A bar south of the mosaic as long as a round residual, and its words."""
     low, high = site(state)
+    ring = np.concatenate([made.registration.footprint(k) for k in range(len(made.registration.names))])
+    ring = to_scene(state, made, _lifted(made.registration, ring[np.isfinite(ring).all(axis=1)]))
+    low, high = np.minimum(low, ring.min(axis=0)), np.maximum(high, ring.max(axis=0))  # beside the mosaic, never under it
     span = float((high - low)[:2].max())
     unit = made.registration.unit
     per = scale_of(state, made)
