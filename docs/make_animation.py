@@ -18,7 +18,7 @@ sys.path.insert(0, str(DOCS.parent))
 from tests.browser import ViserPage, viser_page  # noqa: E402
 from viewer_app.actions import GoTo, Show  # noqa: E402
 from viewer_app.app import App  # noqa: E402
-from viewer_app.figures import ELEMENTS, ChooseFigure  # noqa: E402
+from viewer_app.figures import ELEMENTS, RESIDUALS, ChooseFigure  # noqa: E402
 
 SIZE, HOLD, END = (1280, 800), 700, 3000
 """Pixels of the page; how long a row is shown and how long the last one, milliseconds."""
@@ -67,8 +67,8 @@ def main(out: Path = DOCS) -> None:
     with App(folder) as app:
         still(app, SIZE, out / "viewer-1280.png")
         app.emit(ChooseFigure(ELEMENTS))
-        app.emit(Show("compared", False))
         converging(app, out / "converging.webp")
+        app.emit(ChooseFigure(RESIDUALS))
         app.emit(Show("dark", True))
         still(app, (2560, 1440), out / "viewer-2560.png")
     shutil.rmtree(folder.parent)
