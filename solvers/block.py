@@ -19,6 +19,7 @@ class Prior:
     """Onboard GPS/IMU or an approximate value: centre (3,) m, angles (3,) rad (omega, phi, kappa); None where unknown.
 
     covariance (6, 6): of X, Y, Z, omega, phi, kappa together (m, rad), in place of the sigmas where they are correlated.
+    velocity (3,), sigma_velocity (3,): of the flight at the exposure, along X, Y, Z [m/s].
     """
 
     centre: np.ndarray | None = None
@@ -26,6 +27,8 @@ class Prior:
     sigma_m: np.ndarray | None = None
     sigma_rad: np.ndarray | None = None
     covariance: np.ndarray | None = None
+    velocity: np.ndarray | None = None
+    sigma_velocity: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -111,6 +114,7 @@ class Block:
     scale_bars: tuple[ScaleBar, ...] = ()
     together: tuple[Together, ...] = ()
     gps: Gps = Gps()
+    readout_ms: Mapping[str, float] = field(default_factory=dict)  # of cameras with a rolling shutter, first row to last
 
     def image_index(self, name: str) -> int:
         """Position of an image. Raises BadProject naming those there are."""

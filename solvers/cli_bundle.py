@@ -40,6 +40,8 @@ def _options(command: Parser, free: str = "none") -> None:
     command.add_argument("--per-image", action="store_true", help="free them for every image by itself, not for the camera")
     command.add_argument("--start", choices=("auto", "resection", "dlt", "affine", "relative", "prior"), default="auto",
                          help="where the start values come from (default: auto, whatever the project offers)")
+    command.add_argument("--rolling-shutter", nargs="?", choices=("translation", "rotation"), const="translation", default="none",
+                         help="let every image move while it is read (velocity), or turn as well; needs readout_ms of the camera")
     command.add_argument("--robust", action="store_true", help="down-weight blunders and name them")
     command.add_argument("--loss", choices=LOSSES, default="danish", help="how --robust does it (default: danish)")
 
@@ -55,7 +57,7 @@ def _free(text: str) -> tuple[str, ...]:
 def _request(args: argparse.Namespace) -> dict[str, Any]:
     return {"datum": args.datum, "free": _free(args.free) if isinstance(args.free, str) else args.free, "start": args.start,
             "per_image": args.per_image, "loss": args.loss if args.robust else None, "images": tuple(args.image) or None,
-            "model": args.model, "transform": args.transform, "corners": args.corners}
+            "model": args.model, "transform": args.transform, "corners": args.corners, "rolling_shutter": args.rolling_shutter}
 
 
 def _adjust(args: argparse.Namespace) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 from .block import Block, Image, Observations, Prior
 from .cameras import Interior
 from .errors import BadProject
-from .io import Ask, ControlList, Exif, assemble, crs, read_control, read_exif, read_onboard, read_project
+from .io import Ask, ControlList, Exif, assemble, crs, read_control, read_exif, read_motion, read_onboard, read_project
 from .io.exchange import control as lists
 from .io.exchange import project as projects
 from .io.exchange import registry
@@ -22,6 +22,9 @@ from .io.surface import find_geoid, read_surface
 from .io.whereabouts import Mistake, mistaken
 from .io.whereabouts import Reading as Place
 from .workflows_new import must_be_free, write_new
+
+VELOCITY_SIGMA = 1.0
+"""Standard error [m/s] that a velocity written by an autopilot gets."""
 
 
 class Initialised(NamedTuple):
@@ -85,13 +88,15 @@ def init_project(files: Sequence[Path | str], folder: Path | str, *, ask: Ask | 
     origin, assumed = (beside.origin, []) if beside.origin else _choose_origin(control, given.pixel_origin, ask)
     names = assemble.image_names(photos)
     priors, told = _priors(photos, exifs, names, chosen, beside.orientations, xyz, given)
+    readout, priors, shutter = _shutter(photos, camera_of, priors, chosen)
     paths = [_written_path(photo, folder) for photo in photos]
     images = tuple(Image(*values) for values in zip(names, camera_of, paths, priors, strict=True))
     observations, left = assemble.measurements(control, images, photos, cameras, origin) if control else (_none(), ())
-    all_notes = [*notes, *(control.notes if control else ()), *said, *assumed, *left, *told, *_photo_notes(exifs)]
+    all_notes = [*notes, *(control.notes if control else ()), *said, *assumed, *left, *told, *shutter, *_photo_notes(exifs)]
     if ask is not None and control is not None:
         _confirm(all_notes, ask)
-    block = Block(folder.resolve().name or "project", chosen, cameras, images, assemble.points_of(control, xyz), observations)
+    block = Block(folder.resolve().name or "project", chosen, cameras, images, assemble.points_of(control, xyz), observations,
+                  readout_ms=readout)
     write_new(block, folder, origin)
     return Initialised(read_project(folder), folder, all_notes)
 
@@ -331,6 +336,28 @@ def _undulation(said: float | str, exifs: Sequence[Exif]) -> tuple[float, str]:
     if not np.isfinite(value):
         raise BadProject(f"{path}: it has no undulation at {lat:.4f}, {lon:.4f}; give a grid of the site or metres")
     return value, path.name
+
+
+def _shutter(photos: Sequence[Path], camera_of: Sequence[str], priors: Sequence[Prior | None], chosen: str,
+             ) -> tuple[dict[str, float], tuple[Prior | None, ...], list[str]]:
+    """Readout times of the cameras, priors with velocities where photos state both, and from which ground on it matters."""
+    motions = [read_motion(p) for p in photos]
+    readout = {c: m.readout_ms for c, m in zip(camera_of, motions, strict=True) if m.readout_ms is not None}
+    if not readout:
+        return {}, tuple(priors), []
+    out, way = [], []
+    for camera, motion, prior in zip(camera_of, motions, priors, strict=True):
+        if motion.velocity is not None and prior is not None and camera in readout and chosen != "local":
+            prior = replace(prior, velocity=motion.velocity, sigma_velocity=np.full(3, VELOCITY_SIGMA))
+            way.append((float(np.linalg.norm(motion.velocity)), readout[camera]))
+        out.append(prior)
+    said = [f"rolling shutter: camera {c} reads a photo in {ms:.0f} ms (XMP)" for c, ms in readout.items()]
+    if way:
+        speed, ms = sorted(way)[len(way) // 2]
+        moved = speed * ms * 1e-3
+        said[-1] += (f" and flies {speed:.1f} m/s: it moves by {moved:.2f} m, more than half a pixel where a pixel on the ground "
+                     f"is smaller than {2 * moved:.2f} m; adjust with --rolling-shutter")
+    return readout, tuple(out), said
 
 
 # -- questions --------------------------------------------------------------------------------------------------------------

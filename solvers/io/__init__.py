@@ -13,6 +13,7 @@ from .geojson import areas_of, write_areas, write_world_file
 from .geotiff import write_heights
 from .heights import read_heights
 from .metadata import photo_time, read_onboard
+from .motion import read_motion
 from .photos import (
     Thumbnail,
     check_photos,
@@ -37,7 +38,7 @@ __all__ = ["ArrayFolder", "Ask", "Coding", "ControlList", "Exif", "Part", "Photo
            "areas_of", "assemble", "check_photos", "crs", "demo_assets", "demo_copy", "encode_tile", "find_geoid", "full_disk",
            "jsonable", "latest_run", "load_trace", "new_run", "no_space", "photo_path", "photo_size", "photo_state",
            "photo_time", "photo_window", "read_bal", "read_control", "read_corners", "read_exif", "read_flight_log",
-           "read_heights", "read_mrk", "read_onboard", "read_photo", "read_positions", "read_project", "read_surface",
-           "read_truth", "save_trace", "surface_path", "thumbnail", "to_picture", "trace_name", "write_areas", "write_cog",
+           "read_heights", "read_motion", "read_mrk", "read_onboard", "read_photo", "read_positions", "read_project",
+           "read_surface", "read_truth", "save_trace", "surface_path", "thumbnail", "to_picture", "trace_name", "write_areas", "write_cog",
            "write_corners", "write_heights", "write_image", "write_json", "write_observation_table", "write_observations",
            "write_priors", "write_project", "write_tables", "write_world_file"]

@@ -80,11 +80,11 @@ def same_map(first: str, second: str) -> bool:
     """Whether two crs have the same map coordinates, whatever they say of heights; "local" agrees with everything."""
     if "local" in (first, second) or first == second:
         return True
-    a, b = (_flat(_crs(text)) for text in (first, second))
+    a, b = (_horizontal(_crs(text)) for text in (first, second))
     return a.equals(b, ignore_axis_order=True)
 
 
-def _flat(crs: Any) -> Any:
+def _horizontal(crs: Any) -> Any:
     return (crs.sub_crs_list[0] if crs.is_compound else crs).to_2d()
 
 

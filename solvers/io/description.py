@@ -21,8 +21,8 @@ from .files import decode_utf8, read_bytes
 ORIGINS = ("center", "corner")
 """Pixel (0, 0): the centre of the top-left pixel, or its outer corner."""
 COEFFICIENTS = PARAMETERS[3:]
-CAMERA_KEYS = ("width", "height", "pixel_mm", "c_mm", "principal_point_px", "xp_mm", "yp_mm", *COEFFICIENTS)
-PRIOR_KEYS = ("X", "Y", "Z", "omega_deg", "phi_deg", "kappa_deg", "sigma_m", "sigma_deg")
+CAMERA_KEYS = ("width", "height", "pixel_mm", "c_mm", "principal_point_px", "xp_mm", "yp_mm", *COEFFICIENTS, "readout_ms")
+PRIOR_KEYS = ("X", "Y", "Z", "omega_deg", "phi_deg", "kappa_deg", "sigma_m", "sigma_deg", "velocity_m_s", "sigma_velocity_m_s")
 
 
 @dataclass(frozen=True)
@@ -122,6 +122,8 @@ def read_description(path: Path) -> tuple[Block, str]:
         scale_bars=tuple(_bar(s) for s in top.tables("scale_bars")),
         together=tuple(_together(s) for s in top.tables("control_covariance")),
         gps=_gps(top.sub("gps")),
+        readout_ms={name: s.number("readout_ms", above=0, expected="a positive number of milliseconds, first row to last")
+                    for name in top.sub("cameras").values if "readout_ms" in (s := top.sub("cameras").sub(name)).values},
     )
     return block, origin
 
@@ -143,7 +145,8 @@ def describe(block: Block, origin: str = "center") -> dict[str, Any]:
                              for b in block.scale_bars]
     if block.together:
         out["control_covariance"] = [{"points": list(t.points), "covariance_m2": t.covariance.tolist()} for t in block.together]
-    out["cameras"] = {name: _describe_camera(camera) for name, camera in block.cameras.items()}
+    readout = {name: {"readout_ms": float(block.readout_ms[name])} if name in block.readout_ms else {} for name in block.cameras}
+    out["cameras"] = {name: _describe_camera(camera) | readout[name] for name, camera in block.cameras.items()}
     out["images"] = {image.name: _describe_image(image) for image in block.images}
     return out
 
@@ -257,8 +260,13 @@ def _prior(table: Section) -> Prior:
                            expected="three positive numbers of metres") if "sigma_m" in table.values else None
     sigma_deg = table.vector("sigma_deg", 3, above=0,
                              expected="three positive numbers of degrees") if "sigma_deg" in table.values else None
+    speed = "three numbers of metres per second, along X, Y and Z"
+    velocity = table.vector("velocity_m_s", 3, expected=speed) if "velocity_m_s" in table.values else None
+    sigma_v = table.vector("sigma_velocity_m_s", 3, above=0,
+                           expected=f"{speed}, positive") if "sigma_velocity_m_s" in table.values else None
     return Prior(centre, None if angles is None else np.radians(angles), None if sigma_m is None else np.array(sigma_m),
-                 None if sigma_deg is None else np.radians(sigma_deg))
+                 None if sigma_deg is None else np.radians(sigma_deg), None, None if velocity is None else np.array(velocity),
+                 None if sigma_v is None else np.array(sigma_v))
 
 
 def _all_or_none(table: Section, keys: Sequence[str]) -> np.ndarray | None:
@@ -299,6 +307,9 @@ def _describe_image(image: Image) -> dict[str, Any]:
         table["sigma_m"] = [float(s) for s in prior.sigma_m]
     if prior.sigma_rad is not None:
         table["sigma_deg"] = [float(s) for s in np.degrees(prior.sigma_rad)]
+    for key, values in (("velocity_m_s", prior.velocity), ("sigma_velocity_m_s", prior.sigma_velocity)):
+        if values is not None:
+            table[key] = [float(v) for v in values]
     return out | {"prior": table}
 
 

@@ -175,17 +175,22 @@ def _attitude_sigma(tags: Mapping[str, float]) -> tuple[tuple[float, float, floa
     return (tilt, tilt, values[2]), "attitude sigma: IMU...Accuracy"  # type: ignore[return-value]
 
 
-def dewarp_data(path: Path | str) -> tuple[str | None, int | None]:
-    """DJI's DewarpData and DewarpFlag of a photo as they stand in its XMP, None each where absent."""
+def xmp_texts(path: Path | str) -> dict[str, str]:
+    """All entries of a photo's XMP by their names without namespace; empty where it has none or it is damaged."""
     from defusedxml import DefusedXmlException
     from defusedxml.ElementTree import ParseError, fromstring
 
     packet = _packet(Path(path))
     if packet is None:
-        return None, None
+        return {}
     try:
-        entries = {name.partition("}")[2]: text for name, text in _entries(fromstring(packet))}
+        return {name.partition("}")[2]: text for name, text in _entries(fromstring(packet))}
     except (ParseError, DefusedXmlException, ValueError):
-        return None, None
+        return {}
+
+
+def dewarp_data(path: Path | str) -> tuple[str | None, int | None]:
+    """DJI's DewarpData and DewarpFlag of a photo as they stand in its XMP, None each where absent."""
+    entries = xmp_texts(path)
     flag = entries.get("DewarpFlag", "").strip()
     return entries.get("DewarpData"), int(flag) if flag.isdigit() else None

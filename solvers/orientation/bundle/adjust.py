@@ -137,6 +137,8 @@ def prepare_bundle(block: Block, request: BundleRequest) -> BundleStart:
         raise DegenerateGeometry(f"{block.name}: {net.observed} observations cannot determine {net.observed - problem.dof} "
                                  "unknowns; measure more points or free fewer interior parameters")
     if request.model == "orthogonal":
+        if request.rolling_shutter != "none":
+            raise BadProject("the orthogonal model knows no rolling shutter; take --model perspective")
         return _orthogonal(problem, x0, data, (*left, *said))
     return BundleStart(problem, _softened(problem, x0), ROBUST if request.loss else BUNDLE, _manifest(data, net), data,
                        (*left, *said))

@@ -26,6 +26,10 @@ def motions(network: Network, x: np.ndarray) -> np.ndarray:
         rows[:, :, 3:6] = _turning(at)
         rows[:, :, 6] = at
     out[network.point_columns[:network.unknown].ravel()] = objects.reshape(-1, 7)
+    if network.extras.moving:
+        velocity = network.motion_at(x)[:, :3]
+        rows = out[6 * m + f - network.extras.motions:6 * m + f].reshape(m, network.extras.moving, 7)
+        rows[:, :3, 3:6], rows[:, :3, 6] = _turning(velocity), velocity
     images[:, 3:, 3:6] = -poses[:, 3:].reshape(m, 3, 3)  # M exp(-w) = exp(-M w) M
     return out
 
@@ -71,7 +75,10 @@ class Inner:
         moved = poses.copy()
         moved[:, :3] = scale * poses[:, :3] @ r.T + t
         moved[:, 3:] = (poses[:, 3:].reshape(-1, 3, 3) @ r.T).reshape(-1, 9)
-        return network.pack(moved, interiors, scale * points @ r.T + t)
+        motion = network.motion_at(x).copy()
+        if network.extras.moving:
+            motion[:, :3] = scale * motion[:, :3] @ r.T
+        return network.pack(moved, interiors, scale * points @ r.T + t, motion=motion)
 
 
 def pins(network: Network, x: np.ndarray) -> tuple[int, int, int]:

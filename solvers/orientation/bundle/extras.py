@@ -16,7 +16,9 @@ class Extras:
     """held: so many points, right behind the unknown ones, stand in the border. bars (b, 2): points; lengths, bar_sigma (b,) m.
     correlated: (points (k,), root (3 k, 3 k) of the inverse of their common covariance) of control known together. shifts: names
     of strips; shift_of (m,): strip of each image, -1 for none; shift_sigma: of a shift [m]. levers (m, 3): from the projection
-    centre to the antenna in the photo frame [m]."""
+    centre to the antenna in the photo frame [m]. moving (m,): parameters of each image's motion while it is read, 0, 3 (velocity,
+    m/s, local axes) or 6 (and the rate of its rotation, rad/s, photo axes); motion, motion_sigma (m, 6): what is known of them;
+    readout (m,) [s] from the first row to the last."""
 
     held: int = 0
     bars: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), int))
@@ -27,23 +29,33 @@ class Extras:
     shift_of: np.ndarray | None = None
     shift_sigma: float = 100.0
     levers: np.ndarray | None = None
+    moving: int = 0
+    motion: np.ndarray = field(default_factory=lambda: np.zeros((0, 6)))
+    motion_sigma: np.ndarray = field(default_factory=lambda: np.zeros((0, 6)))
+    readout: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def motions(self) -> int:
+        """Unknowns of motion, of all images."""
+        return self.moving * len(self.motion)
 
     @property
     def count(self) -> int:
-        """Unknowns of the border that belong to it."""
-        return 3 * (self.held + len(self.shifts))
+        """Unknowns of the border that belong to it: held points, then shifts, then motions."""
+        return 3 * (self.held + len(self.shifts)) + self.motions
 
     @property
     def observed(self) -> int:
         """Observations among it, weighted coordinates of held points aside."""
-        return len(self.bars) + sum(3 * len(p) for p, _ in self.correlated) + 3 * len(self.shifts)
+        return len(self.bars) + sum(3 * len(p) for p, _ in self.correlated) + 3 * len(self.shifts) + self.motions
 
 
 def border_rows(extras: Extras, points: np.ndarray, known: np.ndarray, weight: np.ndarray, shifts: np.ndarray, live: int,
-                interior: int) -> tuple[np.ndarray, np.ndarray]:
+                interior: int, motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(r,) misclosures and (r, f) derivatives, in standard deviations, of all that touches the border only.
 
-    points, known, weight (n, 3); shifts (s, 3); interior: parameters that stand before the held points in the border.
+    points, known, weight (n, 3); shifts (s, 3); motion (m, 0, 3 or 6); interior: parameters
+    that stand before the held points in the border.
     """
     f = interior + extras.count
     v, d = [], []
@@ -75,8 +87,15 @@ def border_rows(extras: Extras, points: np.ndarray, known: np.ndarray, weight: n
         d.append(rows)
     if extras.shifts:
         rows = np.zeros((3 * len(extras.shifts), f))
-        rows[:, interior + 3 * extras.held:] = np.eye(3 * len(extras.shifts)) / extras.shift_sigma
+        first = interior + 3 * extras.held
+        rows[:, first:first + len(rows)] = np.eye(3 * len(extras.shifts)) / extras.shift_sigma
         v.append(-shifts.ravel() / extras.shift_sigma)
+        d.append(rows)
+    if extras.moving:
+        sigma = extras.motion_sigma[:, :extras.moving].ravel()
+        rows = np.zeros((len(sigma), f))
+        rows[:, f - len(sigma):] = np.diag(1 / sigma)
+        v.append((extras.motion[:, :extras.moving] - motion).ravel() / sigma)
         d.append(rows)
     return np.concatenate(v), np.concatenate(d)
 

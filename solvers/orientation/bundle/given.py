@@ -17,6 +17,8 @@ from .extras import Extras
 from .network import Network
 
 Datum = Literal["control", "prior", "both", "free"]
+SPEED, SPEED_KNOWN, RATE = 20.0, 2.0, np.radians(15)
+"""Standard errors of a motion: of a velocity that is not known and of one that is [m/s], of a rate of rotation [rad/s]."""
 Begin = Literal["auto", "resection", "dlt", "affine", "prior", "relative", "given"]
 
 
@@ -31,6 +33,7 @@ class BundleRequest:
     or only "resection", "dlt" or "affine" (the linear models over control), "prior" or "relative", or "given" (the images'
     priors and all coordinates of points as they are). compiled: None lets the size decide.
     per_image: free parameters of every image by itself, as "camera@image", instead of one set for each camera.
+    rolling_shutter: "translation" lets every image move while it is read, "rotation" turn as well (cameras with readout_ms).
     model: "orthogonal" is Ono & Hattori's, for long focal lengths; its transform is "iterated" (rays made parallel anew in every
     iteration) or "frozen" (kept as the start values make them).
     """
@@ -44,6 +47,7 @@ class BundleRequest:
     per_image: bool = False
     model: Literal["perspective", "orthogonal"] = "perspective"
     transform: Literal["iterated", "frozen"] = "iterated"
+    rolling_shutter: Literal["none", "translation", "rotation"] = "none"
 
 
 @dataclass(frozen=True)
@@ -238,8 +242,40 @@ def _extras(data: Given, images: list[int], place: np.ndarray, held: int, bars: 
     if data.priors and any(gps.lever_arm):
         forward, right, down = gps.lever_arm
         levers = np.tile([-right, -forward, down], (len(images), 1))
+    moving = {"none": 0, "translation": 3, "rotation": 6}[data.request.rolling_shutter]
+    motion, sigma, readout = known_motion(data, images) if moving else (np.zeros((0, 6)), np.zeros((0, 6)), np.zeros(0))
     return Extras(held, ends, np.array([b.length for b in bars]), np.array([b.sigma for b in bars]), correlated, names, of,
-                  gps.shift_sigma, levers)
+                  gps.shift_sigma, levers, moving, motion, sigma, readout)
+
+
+def known_motion(data: Given, images: list[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What is known of the images' motion while they are read (m, 6), its standard errors (m, 6), and readout times (m,) s.
+
+    Raises BadProject where no camera has a readout time.
+    """
+    block = data.block
+    readout = np.array([block.readout_ms.get(block.images[i].camera, 0.0) for i in images]) * 1e-3
+    if not readout.any():
+        raise BadProject(f"{block.name}: no camera has a readout time; write readout_ms, from the first row to the last, into "
+                         "[cameras.NAME] of project.toml, or leave out --rolling-shutter")
+    motion, sigma = np.zeros((len(images), 6)), np.tile([SPEED] * 3 + [RATE] * 3, (len(images), 1))
+    for row, i in enumerate(images):
+        velocity = velocity_of(data, i)
+        if velocity is not None:
+            prior = block.images[i].prior
+            stated = prior.sigma_velocity if prior is not None else None
+            motion[row, :3], sigma[row, :3] = velocity, SPEED_KNOWN if stated is None else stated
+    return motion, sigma, readout
+
+
+def velocity_of(data: Given, image: int) -> np.ndarray | None:
+    """(3,) m/s in local axes, None where it is not known."""
+    prior = data.block.images[image].prior
+    if prior is None or prior.velocity is None:
+        return None
+    base = prior.centre if prior.centre is not None else data.frame.origin
+    ends = data.frame.to_local(np.array([base, base + prior.velocity]))
+    return ends[1] - ends[0]
 
 
 def _sorted(image: np.ndarray, point: np.ndarray, fixed: np.ndarray, n: int) -> np.ndarray:

@@ -89,7 +89,7 @@ class Network:
         """Rows of `border_rows` by kind, weighted coordinates of held points aside."""
         first = int((self.weight[self.live:self.unknown] > 0).sum())
         counts = {"scale bars": len(self.extras.bars), "control": sum(3 * len(p) for p, _ in self.extras.correlated),
-                  "shifts": 3 * len(self.extras.shifts)}
+                  "shifts": 3 * len(self.extras.shifts), "motion": self.extras.motions}
         out, at = {}, first
         for name, n in counts.items():
             out[name], at = slice(at, at + n), at + n
@@ -111,10 +111,14 @@ class Network:
 
     # -- x = 12 numbers of every image, ten of every camera, three of every point ------------------------------------------
 
-    def pack(self, poses: np.ndarray, interiors: np.ndarray, points: np.ndarray, shifts: np.ndarray | None = None) -> np.ndarray:
-        """x of poses (m, 12), interior parameters (k, 10), points (n, 3) and shifts (s, 3), 0 where not given."""
-        tail = np.zeros(3 * len(self.extras.shifts)) if shifts is None else shifts.ravel()
-        return np.concatenate([poses.ravel(), interiors.ravel(), points.ravel(), tail])
+    def pack(self, poses: np.ndarray, interiors: np.ndarray, points: np.ndarray, shifts: np.ndarray | None = None,
+             motion: np.ndarray | None = None) -> np.ndarray:
+        """x of poses (m, 12), interior parameters (k, 10), points (n, 3), shifts (s, 3), 0 where not given, and motions, as they
+        are known beforehand where not given."""
+        e = self.extras
+        tail = np.zeros(3 * len(e.shifts)) if shifts is None else shifts.ravel()
+        motion = e.motion[:, :e.moving] if motion is None else motion
+        return np.concatenate([poses.ravel(), interiors.ravel(), points.ravel(), tail, motion.ravel()])
 
     def split(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Poses (m, 12), interior parameters (k, 10) and points (n, 3) of x."""
@@ -124,11 +128,18 @@ class Network:
 
     def shifts_at(self, x: np.ndarray) -> np.ndarray:
         """(s, 3) shifts of the strips' GPS positions [m]."""
-        return x[len(x) - 3 * len(self.extras.shifts):].reshape(-1, 3)
+        end = len(x) - self.extras.motions
+        return x[end - 3 * len(self.extras.shifts):end].reshape(-1, 3)
+
+    def motion_at(self, x: np.ndarray) -> np.ndarray:
+        """(m, 0, 3 or 6) motions of the images: velocity [m/s], rate of rotation [rad/s]."""
+        e = self.extras
+        return x[len(x) - e.motions:].reshape(len(e.motion), e.moving)
 
     def border_rows(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(r,) misclosures and (r, f) derivatives of what touches the border only, in standard deviations."""
-        return border_rows(self.extras, self.split(x)[2], self.known, self.weight, self.shifts_at(x), self.live, len(self.which))
+        return border_rows(self.extras, self.split(x)[2], self.known, self.weight, self.shifts_at(x), self.live, len(self.which),
+                           self.motion_at(x))
 
     def interiors_at(self, x: np.ndarray) -> tuple[Interior, ...]:
         """Interior orientations of x."""

@@ -20,6 +20,7 @@ from ...geometry import Exterior, skew
 from ...geometry.rotation import exp_many
 from .compiled import Compiled
 from .datum import Inner, motions
+from .lagged import Bordered, Lagged, lagged_derivatives, virtual
 from .network import Network
 
 DENSE = 2_000_000
@@ -36,12 +37,14 @@ class Bundle:
 
     network: Network
     inner: Inner | None = None
-    compiled: Compiled | None = None
+    compiled: Compiled | Lagged | None = None
 
     @classmethod
     def of(cls, network: Network, inner: Inner | None = None, dense: bool | None = None) -> Bundle:
-        """Dense where the design matrix is small (or as told), compiled otherwise."""
+        """Dense where the design matrix is small (or as told), compiled otherwise; sparse where images move as they are read."""
         m, f, live = network.sizes
+        if network.extras.moving:
+            return cls(network, inner, Lagged(network))
         small = 2 * len(network.image) * (6 * m + f + 3 * live) <= DENSE
         return cls(network, inner, None if (small if dense is None else dense) else Compiled(network))
 
@@ -85,11 +88,13 @@ class Bundle:
         free = len(net.which)
         interiors[np.repeat(np.arange(len(net.cameras)), net.count), net.which] += dx[6 * m:6 * m + free]
         points[:net.unknown] += dx[net.point_columns[:net.unknown]]
-        shifts = net.shifts_at(x) + dx[6 * m + f - 3 * len(net.extras.shifts):6 * m + f].reshape(-1, 3)
-        x = net.pack(poses, interiors, points, shifts)
+        last = 6 * m + f - net.extras.motions
+        shifts = net.shifts_at(x) + dx[last - 3 * len(net.extras.shifts):last].reshape(-1, 3)
+        motion = net.motion_at(x) + dx[last:6 * m + f].reshape(len(net.extras.motion), net.extras.moving)
+        x = net.pack(poses, interiors, points, shifts, motion)
         return self.inner.restored(net, x) if self.inner else x
 
-    def normal(self, x: np.ndarray) -> Dense | Schur:
+    def normal(self, x: np.ndarray) -> Dense | Schur | Bordered:
         if self.compiled:
             return self.compiled.normal(x, self.prior_rows(x), self.inner)
         normal = self.linear(x).normal()
@@ -112,7 +117,8 @@ class Bundle:
         for i in range(len(net.images)):
             rows = np.flatnonzero(net.image == i)
             at = Exterior.from_vector(poses[i])
-            v[rows] = net.pixels[rows] - project(interiors[net.camera[i]], at, points[net.point[rows]])
+            at_point = virtual(net, x, i, rows) if net.extras.moving else points[net.point[rows]]
+            v[rows] = net.pixels[rows] - project(interiors[net.camera[i]], at, at_point)
         return v
 
     def linear(self, x: np.ndarray) -> Linear:
@@ -125,7 +131,13 @@ class Bundle:
         for i in range(m):
             rows = np.flatnonzero(net.image == i)
             camera, of = net.camera[i], net.point[rows]
-            at = project_derivatives(interiors[camera], Exterior.from_vector(poses[i]), points[of])
+            exterior = Exterior.from_vector(poses[i])
+            if net.extras.moving:
+                at, moved = lagged_derivatives(net, x, i, rows, interiors[camera])
+                first = 6 * m + f - net.extras.motions + net.extras.moving * i
+                j[rows, :, first:first + net.extras.moving] = moved
+            else:
+                at = project_derivatives(interiors[camera], exterior, points[of])
             v[rows] = net.pixels[rows] - at.pixels
             j[rows, :, 6 * i:6 * i + 3], j[rows, :, 6 * i + 3:6 * i + 6] = at.centre, at.rotation
             k = slice(net.first[camera], net.first[camera] + net.count[camera])

@@ -15,10 +15,14 @@ from ...cameras import PARAMETERS, Interior
 from ...geometry import Exterior
 from ..result import Orientation
 from ..words import bad_fit, undetermined
-from .given import Given
+from .given import Given, velocity_of
 from .problem import Bundle
 from .statistics import Statistics
 
+MATTERS = 0.5
+"""Pixels that a camera moves on the ground while it reads a photo from which its rolling shutter is told."""
+CONTRADICTED = 3.0
+"""sigma0 of the motions from which they are not believed."""
 SUSPECT = 4.0
 """Standardized residual from which an observation is listed as suspect (chance of a good one: 6e-5)."""
 
@@ -50,7 +54,8 @@ class Adjusted:
     """An adjusted block. interiors: by camera; interior_names and interior_covariance (f, f): of the freed parameters, camera
     after camera; control_rms, check_rms (3,) m: None without such points; groups: sigma0 and redundancy of image observations,
     control, priors and others apart; suspects: observations with |w| > 4, the worst first; shifts: of the GPS positions of every
-    strip (3,) m, local axes, with covariance (3, 3)."""
+    strip (3,) m, local axes, with covariance (3, 3); motions: of every image while it was read (3 or 6,), m/s local
+    axes and rad/s photo axes, with covariance."""
 
     orientations: tuple[Orientation, ...]
     interiors: Mapping[str, Interior]
@@ -69,6 +74,7 @@ class Adjusted:
     trace: Trace
     warnings: tuple[str, ...]
     shifts: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+    motions: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
     @property
     def interior_sigma(self) -> dict[str, dict[str, float]]:
@@ -99,6 +105,8 @@ class Adjusted:
             "chi_square": None if self.chi_square is None else asdict(self.chi_square), "warnings": list(self.warnings),
             **({"gps_shifts": {name: {"shift_m": v.tolist(), "sigma_m": np.sqrt(np.diag(q)).tolist()}
                                for name, (v, q) in self.shifts.items()}} if self.shifts else {}),
+            **({"motions": {name: _motion_json(v, np.sqrt(np.diag(q))) for name, (v, q) in self.motions.items()}}
+               if self.motions else {}),
         }
 
 
@@ -112,6 +120,7 @@ def described(data: Given, problem: Bundle, trace: Trace, stats: Statistics, sai
     warnings = [*said, *bad_fit(trace.last.cost, problem.dof)]
     if not trace.converged:
         warnings.insert(0, f"did not converge: stopped by '{trace.last.stop}' after {trace.iterations} iterations; do not use")
+    warnings += _shutter(data, problem, x)
     if stats.loose:
         shown = ", ".join(net.points[n] for n in stats.loose[:6]) + (" ..." if len(stats.loose) > 6 else "")
         warnings.append(f"the rays to {len(stats.loose)} point(s) are parallel and leave the depth open: {shown}; their standard "
@@ -122,13 +131,17 @@ def described(data: Given, problem: Bundle, trace: Trace, stats: Statistics, sai
     if suspects:
         shown = ", ".join(s["text"] for s in suspects[:5]) + (" ..." if len(suspects) > 5 else "")
         warnings.append(f"{len(suspects)} suspect observation(s) with |w| > {SUSPECT:g}, the worst first: {shown}")
+    groups = _groups(problem, x, stats, v)
+    if (groups.get("motion", (None, 0.0))[0] or 0.0) > CONTRADICTED:
+        warnings.append(f"rolling shutter: the motions differ from what is known of them by {groups['motion'][0]:.1f} times their "
+                        "standard errors: they take up something else, most likely the lens; calibrate it first")
     return Adjusted(
         orientations=_orientations(data, problem, trace, stats, v, sigma0),
         interiors=dict(zip(net.cameras, interiors, strict=True)),
         interior_names=names, interior_covariance=stats.interior, points=points, sigma0=sigma0, dof=problem.dof,
         rms_px=float(np.sqrt((v**2).sum() / len(v))), cost=trace.last.cost, control_rms=_rms(control), check_rms=_rms(check),
-        groups=_groups(problem, x, stats, v), suspects=tuple(suspects), chi_square=chi_square(trace.last.cost, problem.dof),
-        trace=trace, warnings=tuple(warnings), shifts=_shifts(problem, x, stats))
+        groups=groups, suspects=tuple(suspects), chi_square=chi_square(trace.last.cost, problem.dof),
+        trace=trace, warnings=tuple(warnings), shifts=_shifts(problem, x, stats), motions=_motions(problem, x, stats))
 
 
 def _orientations(data: Given, problem: Bundle, trace: Trace, stats: Statistics, v: np.ndarray,
@@ -209,6 +222,40 @@ def _shifts(problem: Bundle, x: np.ndarray, stats: Statistics) -> dict[str, tupl
     first, values = len(net.which) + 3 * net.extras.held, net.shifts_at(x)
     rows = [slice(first + 3 * k, first + 3 * k + 3) for k in range(len(net.extras.shifts))]
     return {name: (values[k], stats.border[rows[k], rows[k]]) for k, name in enumerate(net.extras.shifts)}
+
+
+def _motions(problem: Bundle, x: np.ndarray, stats: Statistics) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    net, k = problem.network, problem.network.extras.moving
+    first = net.sizes[1] - net.extras.motions
+    rows = [slice(first + k * i, first + k * i + k) for i in range(len(net.images))] if k else []
+    return {net.images[i]: (net.motion_at(x)[i], stats.border[s, s]) for i, s in enumerate(rows)}
+
+
+def _motion_json(v: np.ndarray, sigma: np.ndarray) -> dict[str, Any]:
+    turn = {"rate_deg_s": np.degrees(v[3:]).tolist(), "sigma_rate_deg_s": np.degrees(sigma[3:]).tolist()} if len(v) > 3 else {}
+    return {"velocity_m_s": v[:3].tolist(), "sigma_velocity_m_s": sigma[:3].tolist(), **turn}
+
+
+def _shutter(data: Given, problem: Bundle, x: np.ndarray) -> list[str]:
+    """How far the camera moves while it reads a photo, where that is known, matters and is not modelled."""
+    net, block = problem.network, data.block
+    if net.extras.moving or not block.readout_ms:
+        return []
+    poses, _, points = net.split(x)
+    way = []
+    for i, name in enumerate(net.images):
+        k = block.image_index(name)
+        ms, velocity = block.readout_ms.get(block.images[k].camera), velocity_of(data, k)
+        rows = np.flatnonzero(net.image == i)
+        if ms is None or velocity is None or not len(rows):
+            continue
+        depth = np.median(np.abs(Exterior.from_vector(poses[i]).camera(points[net.point[rows]])[:, 2]))
+        interior, speed = block.cameras[block.images[k].camera], float(np.linalg.norm(velocity))
+        way.append((speed * ms * 1e-3 * interior.c / depth / float(np.mean(interior.pitch)), speed, ms))
+    if not way or (middle := sorted(way)[len(way) // 2])[0] <= MATTERS:
+        return []
+    return [f"rolling shutter: the camera moves by {middle[0]:.1f} px on the ground while it reads a photo ({middle[1]:.1f} m/s "
+            f"for {middle[2]:.0f} ms); give --rolling-shutter"]
 
 
 def _suspects(problem: Bundle, v: np.ndarray, stats: Statistics, points: tuple[AdjustedPoint, ...]) -> list[dict[str, Any]]:

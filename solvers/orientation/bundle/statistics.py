@@ -129,7 +129,8 @@ def datum_defects(problem: Bundle, x: np.ndarray) -> list[str]:
     weight = np.sqrt(net.weight[:net.unknown])[:, :, None]
     parts.append((weight * g[net.point_columns[:net.unknown]]).reshape(-1, 7))
     if net.extras.count:
-        parts.append(net.border_rows(x)[1] @ g[6 * m:6 * m + f])
+        rows = net.border_rows(x)[1]  # velocities, weakly known, are no datum
+        parts.append(rows[:len(rows) - net.extras.motions] @ g[6 * m:6 * m + f])
     if net.unknown < len(points):
         at = points[net.unknown:] - points.mean(axis=0)
         held = np.zeros((len(at), 3, 7))
@@ -173,6 +174,8 @@ def _named(problem: Bundle, vector: np.ndarray) -> str:
             text = names[k - 6 * m]
         elif k < 6 * m + len(names) + 3 * net.extras.held:
             text = f"point '{net.points[net.live + (k - 6 * m - len(names)) // 3]}'"
+        elif 6 * m + f - net.extras.motions <= k < 6 * m + f:
+            text = f"motion of image '{net.images[(k - 6 * m - f + net.extras.motions) // net.extras.moving]}'"
         elif k < 6 * m + f:
             text = f"shift of strip '{net.extras.shifts[(k - 6 * m - len(names) - 3 * net.extras.held) // 3]}'"
         else:

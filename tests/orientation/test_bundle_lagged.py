@@ -1,0 +1,115 @@
+"""Rolling shutter: derivatives, truth, covariance by Monte Carlo, free networks, words."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from solvers import BadProject, Block
+from solvers.cameras import project
+from solvers.geometry import Exterior, exp
+from solvers.orientation.bundle import BundleRequest, adjust, prepare_bundle
+from solvers.orientation.bundle.lagged import Lagged
+from solvers.orientation.bundle.statistics import statistics
+from solvers.simulation import uav_block
+from tests.checks import check_jacobian, chi_square_band
+
+READOUT_MS = 30.0
+SIGMA_V = 1.0
+
+
+def flown(seed: int, noise: float = 1.0, rate: float = 0.0, control: int = 6, known: bool = True) -> tuple[Block, dict, object]:
+    """A small UAV block read row by row: each pixel is projected from where the camera is when its own row is read."""
+    sim = uav_block(seed, strips=2, images=3, ties=60, control=control, checks=3, noise=0.0, fine=False)
+    rng, block, of = np.random.default_rng([seed, 5]), sim.block, sim.block.observations
+    pixel, truth, images = of.pixel.copy(), {}, []
+    for i, image in enumerate(block.images):
+        at, camera = sim.exteriors[image.name], sim.block.cameras[image.camera]
+        v, w = np.array([0.0, 8.0, 0.0]) + rng.normal(0, 1.5, 3), rate * rng.normal(size=3)
+        truth[image.name] = np.concatenate([v, w])
+        for o in np.flatnonzero(of.image == i):
+            row = of.pixel[o, 1]
+            for _ in range(30):
+                t = READOUT_MS * 1e-3 * (row - (camera.height - 1) / 2) / camera.height
+                then = Exterior(exp(w * t) @ at.m, at.centre + v * t)
+                pixel[o] = project(camera, then, sim.xyz[of.point[o]][None])[0]
+                row = pixel[o, 1]
+        assert image.prior is not None
+        prior = replace(image.prior, centre=at.centre + 0.05 * rng.normal(size=3), sigma_m=np.full(3, 0.05), angles=None,
+                        sigma_rad=None, velocity=v + noise * rng.normal(0, SIGMA_V, 3), sigma_velocity=np.full(3, SIGMA_V))
+        images.append(replace(image, prior=prior if known else None))
+    pixel += noise * rng.normal(size=pixel.shape) * block.image_px
+    given = np.where(np.isfinite(block.points.sigma), block.points.sigma, block.control_m)
+    xyz = block.points.xyz + noise * given * rng.normal(size=block.points.xyz.shape)
+    block = replace(block, readout_ms={n: READOUT_MS for n in block.cameras}, points=replace(block.points, xyz=xyz))
+    return replace(block, observations=replace(of, pixel=pixel), images=tuple(images)), truth, sim
+
+
+@pytest.mark.parametrize(("how", "datum"), [("translation", "control"), ("rotation", "both")])
+def test_jacobian_against_differences(how, datum) -> None:
+    block, _, _ = flown(3, rate=0.3)
+    start = prepare_bundle(block, BundleRequest(datum=datum, rolling_shutter=how, free=("c", "k1")))
+    assert isinstance(start.problem.compiled, Lagged)
+    plain = replace(start.problem, compiled=None)
+    scale = plain.normal(start.x0).scale
+    x = plain.retract(start.x0, np.random.default_rng(2).normal(size=len(scale)) / scale)
+    check_jacobian(plain, x, rtol=5e-6)
+    dense, sparse = plain.normal(x), start.problem.normal(x)
+    scaled = dense.gradient / dense.scale
+    np.testing.assert_allclose(sparse.gradient / dense.scale, scaled, atol=1e-7 * np.abs(scaled).max())
+    np.testing.assert_allclose(sparse.step(1e-3)[0] * dense.scale, dense.step(1e-3)[0] * dense.scale, rtol=1e-5, atol=1e-6)
+    one, two = statistics(plain, x), statistics(start.problem, x)
+    for name in ("poses", "border", "points", "redundancy", "w", "cross"):
+        p, q = getattr(one, name), getattr(two, name)
+        np.testing.assert_allclose(q, p, rtol=1e-5, atol=1e-6 * np.nanmax(np.abs(p)), err_msg=name)
+
+
+def test_truth_is_recovered_and_a_still_camera_is_told() -> None:
+    block, truth, sim = flown(4, noise=0.0, rate=0.05)
+    got = adjust(block, rolling_shutter="rotation")
+    assert got.rms_px < 0.02  # what the rates' own prior pulls
+    for o in got.orientations:
+        assert np.abs(o.exterior.centre - sim.exteriors[o.image].centre).max() < 0.1
+    block, truth, sim = flown(4, noise=0.0)
+    got, still = adjust(block, rolling_shutter="translation"), adjust(block)
+    assert got.rms_px < 1e-6 and still.rms_px > 0.3
+    for o in got.orientations:
+        np.testing.assert_allclose(o.exterior.centre, sim.exteriors[o.image].centre, atol=1e-5)
+        np.testing.assert_allclose(got.motions[o.image][0], truth[o.image][:3], atol=1e-4)
+    assert any("rolling shutter: the camera moves by" in w for w in still.warnings)
+    assert not any("rolling shutter" in w for w in got.warnings)
+
+
+def test_covariance_by_monte_carlo() -> None:
+    errors, sums, dof = [], [], 0
+    for seed in range(8):
+        block, truth, sim = flown(seed + 50, control=12)
+        got = adjust(block, rolling_shutter="translation")
+        for name in list(truth)[:1]:  # images of one run share their control: only one of them counts
+            o = next(o for o in got.orientations if o.image == name)
+            v, q = got.motions[name]
+            errors.append((v - truth[name][:3]) @ np.linalg.solve(q, v - truth[name][:3]))
+        errors.append((o.exterior.centre - sim.exteriors[name].centre) @ np.linalg.solve(
+            o.covariance[:3, :3], o.exterior.centre - sim.exteriors[name].centre))
+        sums.append(2 * got.cost)
+        assert sum(r for _, r in got.groups.values()) == pytest.approx(got.dof, abs=1e-4)
+        dof = got.dof
+    chi_square_band(np.array(errors[0::2]), 3, 0.999)
+    chi_square_band(np.array(errors[1::2]), 3, 0.999)
+    chi_square_band(np.array(sums), dof, 0.999)
+
+
+def test_a_free_network_keeps_its_datum_and_loses_the_misfit() -> None:
+    block, _, _ = flown(6)
+    got, still = adjust(block, datum="free", rolling_shutter="translation"), adjust(block, datum="free")
+    assert got.trace.converged and got.sigma0 is not None and 0.85 < got.sigma0 < 1.15
+    assert still.sigma0 is not None and still.sigma0 > 1.5 * got.sigma0
+    assert sum(r for _, r in got.groups.values()) == pytest.approx(got.dof, abs=1e-3)
+
+
+def test_refusals() -> None:
+    block, _, _ = flown(6)
+    with pytest.raises(BadProject, match="no camera has a readout time"):
+        adjust(replace(block, readout_ms={}), rolling_shutter="translation")
+    with pytest.raises(BadProject, match="knows no rolling shutter"):
+        adjust(block, rolling_shutter="translation", model="orthogonal", datum="free")
