@@ -39,6 +39,7 @@ __all__ = ["ArrayFolder", "Ask", "Coding", "ControlList", "Exif", "Part", "Photo
            "jsonable", "latest_run", "load_trace", "new_run", "no_space", "photo_path", "photo_size", "photo_state",
            "photo_time", "photo_window", "read_bal", "read_control", "read_corners", "read_exif", "read_flight_log",
            "read_heights", "read_motion", "read_mrk", "read_onboard", "read_photo", "read_positions", "read_project",
-           "read_surface", "read_truth", "save_trace", "surface_path", "thumbnail", "to_picture", "trace_name", "write_areas", "write_cog",
+           "read_surface", "read_truth", "save_trace", "surface_path", "thumbnail", "to_picture", "trace_name",
+           "write_areas", "write_cog",
            "write_corners", "write_heights", "write_image", "write_json", "write_observation_table", "write_observations",
            "write_priors", "write_project", "write_tables", "write_world_file"]

@@ -132,9 +132,9 @@ def described(data: Given, problem: Bundle, trace: Trace, stats: Statistics, sai
         shown = ", ".join(s["text"] for s in suspects[:5]) + (" ..." if len(suspects) > 5 else "")
         warnings.append(f"{len(suspects)} suspect observation(s) with |w| > {SUSPECT:g}, the worst first: {shown}")
     groups = _groups(problem, x, stats, v)
-    if (groups.get("motion", (None, 0.0))[0] or 0.0) > CONTRADICTED:
-        warnings.append(f"rolling shutter: the motions differ from what is known of them by {groups['motion'][0]:.1f} times their "
-                        "standard errors: they take up something else, most likely the lens; calibrate it first")
+    if (off := groups.get("motion", (None, 0.0))[0] or 0.0) > CONTRADICTED:
+        warnings.append(f"rolling shutter: the motions differ from what is known of them by {off:.1f} times their standard "
+                        "errors: they take up something else, most likely the lens; calibrate it first")
     return Adjusted(
         orientations=_orientations(data, problem, trace, stats, v, sigma0),
         interiors=dict(zip(net.cameras, interiors, strict=True)),
