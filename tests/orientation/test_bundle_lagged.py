@@ -19,7 +19,8 @@ READOUT_MS = 30.0
 SIGMA_V = 1.0
 
 
-def flown(seed: int, noise: float = 1.0, rate: float = 0.0, control: int = 6, known: bool = True) -> tuple[Block, dict[str, np.ndarray], Any]:
+def flown(seed: int, noise: float = 1.0, rate: float = 0.0, control: int = 6,
+          known: bool = True) -> tuple[Block, dict[str, np.ndarray], Any]:
     """A small UAV block read row by row: each pixel is projected from where the camera is when its own row is read."""
     sim = uav_block(seed, strips=2, images=3, ties=60, control=control, checks=3, noise=0.0, fine=False)
     rng, block, of = np.random.default_rng([seed, 5]), sim.block, sim.block.observations
