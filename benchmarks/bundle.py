@@ -121,7 +121,7 @@ def run_ours(b: dict[str, Any], threads: int, free: tuple[str, ...], covariance:
     options = Options(cost_tolerance=1e-8, step_tolerance=1e-7)
     warm, x = problem()
     solve(warm, x, Options(max_iterations=1))  # compilation, or loading from the cache, is not counted
-    if covariance and warm.compiled:
+    if covariance and isinstance(warm.compiled, Compiled):
         warm.compiled.judge(x, warm.prior_rows(x), Inner(np.arange(len(b["xyz"])), b["xyz"]), observations=False)
     t0 = time.perf_counter()
     made, x = problem()
@@ -135,7 +135,7 @@ def run_ours(b: dict[str, Any], threads: int, free: tuple[str, ...], covariance:
         inner = Inner(np.arange(len(b["xyz"])), made.network.split(trace.last.x)[2].copy())
         t2, c2 = time.perf_counter(), time.process_time()
         held = replace(made, inner=inner)
-        assert made.compiled is not None
+        assert isinstance(made.compiled, Compiled)
         made.compiled.judge(trace.last.x, held.prior_rows(trace.last.x), inner, observations=False)
         out |= {"covariance": time.perf_counter() - t2, "covariance cpu": time.process_time() - c2}
     return out

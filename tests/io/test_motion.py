@@ -31,7 +31,9 @@ def photo(path: Path, entries: str, rows: int = 3000) -> Path:
 def test_what_a_photo_says(tmp_path, entries, readout, velocity) -> None:
     got = read_motion(photo(tmp_path / "a.jpg", entries))
     assert got.readout_ms == readout
-    np.testing.assert_allclose(got.velocity if velocity else np.zeros(0), velocity or [])
+    assert (got.velocity is None) == (velocity is None)
+    if velocity is not None and got.velocity is not None:
+        np.testing.assert_allclose(got.velocity, velocity)
 
 
 def test_init_writes_it_and_says_where_it_matters(tmp_path) -> None:

@@ -11,7 +11,7 @@ from solvers.cli import main
 def mosaic(folder, tmp_path, *options):
     code = main(["mosaic", str(folder), "-o", str(tmp_path / "m.tif"), "--json", str(tmp_path / "m.json"), "--quiet",
                  "--workers", "1", *options])
-    return code, json.loads((tmp_path / "m.json").read_text()) if (tmp_path / "m.json").exists() else None
+    return code, json.loads((tmp_path / "m.json").read_text(encoding="utf-8"))
 
 
 @pytest.mark.parametrize(("name", "count"), [("uav_brighton8", 8), ("uav_strip5", 5)])

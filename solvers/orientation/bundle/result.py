@@ -134,7 +134,7 @@ def described(data: Given, problem: Bundle, trace: Trace, stats: Statistics, sai
     groups = _groups(problem, x, stats, v)
     if (off := groups.get("motion", (None, 0.0))[0] or 0.0) > CONTRADICTED:
         warnings.append(f"rolling shutter: the motions differ from what is known of them by {off:.1f} times their standard "
-                        "errors: they take up something else, most likely the lens; calibrate it first")
+                        "errors: they take up something else, perhaps the lens; calibrate it first")
     return Adjusted(
         orientations=_orientations(data, problem, trace, stats, v, sigma0),
         interiors=dict(zip(net.cameras, interiors, strict=True)),
