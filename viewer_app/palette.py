@@ -38,6 +38,8 @@ def _steps(handle: Any, label: str) -> list[tuple[str, Any]]:
         return [(f"{label}: next", _next)]
     if isinstance(handle, viser.GuiSliderHandle):
         return [(f"{label}: more", lambda h: _stepped(h, 1)), (f"{label}: less", lambda h: _stepped(h, -1))]
+    if isinstance(handle, viser.GuiNumberHandle):
+        return [(f"{label}: more", lambda h: _nudged(h, 1)), (f"{label}: less", lambda h: _nudged(h, -1))]
     return []
 
 
@@ -51,6 +53,15 @@ def _stepped(handle: Any, way: int) -> float:
     props = handle._impl.props
     size = max(props.step, round((props.max - props.min) / 20 / props.step) * props.step)
     return type(handle.value)(min(max(handle.value + way * size, props.min), props.max))
+
+
+def _nudged(handle: Any, way: int) -> float:
+    """A tenth of the value further, at least one step, within the range where there is one."""
+    props = handle._impl.props
+    step = props.step or 1
+    value = handle.value + way * max(step, round(abs(handle.value) / 10 / step) * step)
+    low, high = (value if limit is None else limit for limit in (props.min, props.max))
+    return type(handle.value)(min(max(value, low), high))
 
 
 def _act(gui: viser.GuiApi, handle: Any, step: Any) -> Any:

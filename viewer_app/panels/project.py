@@ -128,7 +128,7 @@ class ScenePanel:
         bind(self._vectors, emit, lambda value: Show("vectors", float(value)))
         bind(self._ellipsoid, emit, lambda value: Show("ellipsoid", float(value)))
         self._opacity = gui.add_slider(
-            "Photo opacity", 0.0, 1.0, 0.05, 0.6, hint="Of the photo over the scene while you look through it, 0 to 1."
+            "Photo opacity", 0.0, 1.0, 0.05, 0.6, hint="Of the photo over the scene while you look through it: 0 to 1, no unit."
         )
         bind(self._opacity, emit, lambda value: Opacity(float(value)))
         self._through = gui.add_button(
