@@ -53,8 +53,26 @@ def open_server(host: str = "127.0.0.1", port: int = 0, token: str | None = None
             )
         return Server(host=host, port=port, verbose=False)
     hosts = None if remote else LOCAL_HOSTS
+    _hush()
     with _guarded(token, hosts):
         return Server(host=host, port=port, verbose=False)
+
+
+def _hush() -> None:
+    """viser says where it serves and that it stopped on standard output, even where verbose is False, the latter late and from a
+    thread of its own: there it would stand in the middle of our own answers."""
+    import rich
+
+    real: Any = rich.print
+    if real.__name__ == "without_viser":
+        return
+
+    def without_viser(*said: Any, **how: Any) -> None:
+        first = said[0] if said else ""
+        if not ("(viser)" in str(first) or "viser" in str(getattr(first, "title", ""))):
+            real(*said, **how)
+
+    rich.print = without_viser
 
 
 @contextmanager

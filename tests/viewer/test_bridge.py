@@ -146,3 +146,8 @@ def test_ten_thousand_mutated_messages_leave_the_state_valid() -> None:
         state = app.state
         assert app._loop.is_alive() and state.work.off <= set(state.block.points.names)
         assert state.image in ("left", "right") and 0 <= state.row <= state.last_row
+
+
+def test_a_server_that_stops_says_nothing_on_standard_output(capfd: pytest.CaptureFixture[str]) -> None:
+    open_server().stop()
+    assert capfd.readouterr().out == ""

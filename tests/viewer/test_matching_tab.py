@@ -55,7 +55,9 @@ def middle(v: ViserPage, side: str) -> tuple[float, float]:
 
 
 def shows(app: App, v: ViserPage, side: str) -> bool:
-    """Whether the browser shows what the state says."""
+    """Whether the browser shows what the state says, and the state all that was asked of it."""
+    if not app.settled():
+        return False
     look = room(app).looks.get(side)
     box = v.page.evaluate("id => document.getElementById(id)?.getAttribute('viewBox')", f"collinea-{side}")
     if look is None or box is None:
