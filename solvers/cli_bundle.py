@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from .cli_parts import Parser, add_command, emit, names
+from .cli_parts import Parser, add_command, cannot, emit, names
 
 LOSSES = ("huber", "cauchy", "danish")
 
@@ -14,6 +14,8 @@ def add(commands: Any) -> None:
     """Their options."""
     adjust = add_command(commands, "adjust", _adjust, "bundle adjustment of all images of a project together")
     _options(adjust)
+    adjust.add_argument("--continue", dest="further", nargs="?", const="", metavar="RUN[:ROW]",
+                        help="go on from a row of a run of the project (default: the last row of the latest), with its options")
     adjust.add_argument("--bal", metavar="FILE", help="instead of a project: a problem of bundle adjustment in the large")
 
     calibrate = add_command(commands, "calibrate", _calibrate, "calibrate cameras: adjust with all ten interior parameters free")
@@ -37,7 +39,9 @@ def _options(command: Parser, free: str = "none") -> None:
                               "covariance; takes datum both, or prior where the project has no control")
     command.add_argument("--free", type=_free, default=free, metavar="none|all|c,xp,yp,k1,...",
                          help=f"interior parameters to adjust (default: {free})")
-    command.add_argument("--per-image", action="store_true", help="free them for every image by itself, not for the camera")
+    command.add_argument("--per-image", type=names, nargs="?", const=True, default=False, metavar="xp,yp,...",
+                         help="free them for every image by itself, not for the camera; with names: these of every image, the "
+                              "other free ones of the camera")
     command.add_argument("--start", choices=("auto", "resection", "dlt", "affine", "relative", "prior"), default="auto",
                          help="where the start values come from (default: auto, whatever the project offers)")
     command.add_argument("--rolling-shutter", nargs="?", choices=("translation", "rotation"), const="translation", default="none",
@@ -61,26 +65,37 @@ def _request(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def _adjust(args: argparse.Namespace) -> int:
-    from viewer_app.rerun_bundle import record_bundle
+    from viewer_app.rerun_bundle import Live, record_bundle
 
     from .report_bundle import adjusted_text
-    from .workflows_bundle import adjust_bal, adjust_project
+    from .workflows_bundle import StoppedRun, adjust_bal, adjust_project
 
     if args.bal:
         given = {"loss": args.loss} if args.robust else {}
         done = adjust_bal(args.bal, **given)
     else:
-        done = adjust_project(_where(args), "adjust", record_bundle, **_request(args))
+        done = adjust_project(_where(args), "adjust", record_bundle, live=Live, further=args.further, **_request(args))
+        if isinstance(done, StoppedRun):
+            return _stopped(done)
     return emit(args, done.to_json(), adjusted_text(done))
 
 
+def _stopped(done: Any) -> int:
+    """An adjustment that Ctrl+C ended is none, but its rows are kept."""
+    return cannot(f"stopped by Ctrl+C after {done.last.index} iterations (sigma0 {done.last.sigma0:.4g}); the rows are kept, go "
+                  f"on with: collinea adjust {done.run.parent.parent} --continue {done.run.name}")
+
+
 def _calibrate(args: argparse.Namespace) -> int:
-    from viewer_app.rerun_bundle import record_bundle
+    from viewer_app.rerun_bundle import Live, record_bundle
 
     from .report_calibration import calibrated_text
+    from .workflows_bundle import StoppedRun
     from .workflows_calibration import calibrate_project
 
-    done = calibrate_project(_where(args), args.compare, record_bundle, **_request(args))
+    done = calibrate_project(_where(args), args.compare, record_bundle, live=Live, **_request(args))
+    if isinstance(done, StoppedRun):
+        return _stopped(done)
     return emit(args, done.to_json(), calibrated_text(done))
 
 

@@ -58,7 +58,7 @@ def quality_line(told: dict[str, Any]) -> str:
 
 def correlation_lines(result: Adjusted, camera: str) -> list[str]:
     """Pairs of parameters that the network does not keep well apart, the closest first."""
-    rows = [k for k, (c, _) in enumerate(result.interior_names) if c == camera]
+    rows = result.interior_rows(camera)
     if len(rows) < 2:
         return []
     r = correlation(result.interior_covariance[np.ix_(rows, rows)])

@@ -1,23 +1,55 @@
-"""The walks around a block: adjust it, calibrate its cameras."""
+"""The walks around a block: adjust it, calibrate its cameras; every row is in the run while it is made."""
 
 from __future__ import annotations
 
+import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from .adjustment import Options
+from .adjustment import LARGE, Iteration, Options, Trace
 from .block import Block
+from .cameras import PARAMETERS
 from .errors import BadProject, DegenerateGeometry
-from .io import new_run, read_bal, read_corners, read_project, save_trace, write_json
+from .io import (
+    RowReader,
+    RowWriter,
+    latest_run,
+    load_trace,
+    new_run,
+    read_bal,
+    read_corners,
+    read_project,
+    save_arrays,
+    save_trace,
+    write_json,
+)
 from .orientation import Adjusted, BundleRequest, CornerControl, adjust, with_corners
+from .orientation.bundle import MOST, Begun, Stopped, Watch
 
 BundleRecorder = Callable[[Path, Block, Adjusted], object]
 """record(path, block, adjusted): writes recording.rrd."""
+RUNNING = "running"
+"""File of a run while rows are still to come: the number of the process that makes them."""
 
+
+class LiveRecording(Protocol):
+    """A recording that grows row by row."""
+
+    def row(self, row: Iteration) -> None:
+        """One more."""
+        ...
+
+    def close(self) -> None:
+        """No more."""
+        ...
+
+
+LiveRecorder = Callable[[Path, Block, Mapping[str, Any], np.ndarray], LiveRecording]
+"""live(path, block, manifest, x0): begins recording.rrd."""
 
 BAL: dict[str, Any] = {"datum": "free", "free": ("c", "k1", "k2"), "start": "given"}
 IN_THE_LARGE = Options(max_iterations=100, max_trials=20, step_tolerance=1e-6, cost_tolerance=1e-9)
@@ -36,33 +68,158 @@ class AdjustedProject(NamedTuple):
         return {**self.result.to_json(), "run": None if self.run is None else str(self.run)}
 
 
-def adjust_project(folder: Path | str, command: str = "adjust", recorder: BundleRecorder | None = None,
-                   corners: str | None = None, **options: Any) -> AdjustedProject:
-    """Adjust all images of a project together and leave a run: trace, result.json, recording.rrd.
+class StoppedRun(NamedTuple):
+    """An adjustment that a person stopped: the run with the rows so far, and the last of them."""
 
-    corners: a file of image corners as control. options: as in `BundleRequest`. Raises PhotogrammetryError; then no run is left.
+    run: Path
+    last: Iteration
+
+
+def adjust_project(folder: Path | str, command: str = "adjust", recorder: BundleRecorder | None = None,
+                   corners: str | None = None, live: LiveRecorder | None = None, further: str | None = None,
+                   **options: Any) -> AdjustedProject | StoppedRun:
+    """Adjust all images of a project together and leave a run: rows and recording.rrd as they are made, trace, result.json.
+
+    corners: a file of image corners as control. further: RUN or RUN:ROW to continue, with the options of that run. options: as in
+    `BundleRequest`. Raises PhotogrammetryError; then no run is left.
     """
     folder = Path(folder)
-    block = read_project(folder)
-    if corners is not None:
+    block, begun = read_project(folder), None
+    if further is not None:
+        begun, options = begun_of(folder, further)
+    elif corners is not None:
         block, options = _by_corners(block, corners, options)
-    return leave_run(folder, command, block, adjust_block(block, **options), recorder)
-
-
-def leave_run(folder: Path, command: str, block: Block, result: Adjusted,
-              recorder: BundleRecorder | None = None) -> AdjustedProject:
-    """Keep an adjusted block as a run of a project: trace, result.json, recording.rrd; all of it or nothing."""
     run = new_run(folder, command)
+    rows = Rows(run, block, live)
     try:
+        done = leave_run(folder, command, block, adjust_block(block, watch=rows, begun=begun, **options), recorder, run)
+    except KeyboardInterrupt as stopped:
+        if rows.last is None:
+            shutil.rmtree(run, ignore_errors=True)
+            raise
+        if isinstance(stopped, Stopped):
+            save_trace(stopped.trace, run)
+        return StoppedRun(run, rows.last)
+    except BaseException:
+        shutil.rmtree(run, ignore_errors=True)
+        raise
+    finally:
+        rows.close()
+    return done
+
+
+class Rows(Watch):
+    """Rows of an adjustment, written to its run and its recording as they come."""
+
+    def __init__(self, run: Path, block: Block, live: LiveRecorder | None) -> None:
+        self._run, self._block, self._live = run, block, live
+        self._writer: RowWriter | None = None
+        self._recording: LiveRecording | None = None
+        self.last: Iteration | None = None
+        (run / RUNNING).write_text(f"{os.getpid()}\n", encoding="ascii")
+
+    def begin(self, manifest: Mapping[str, Any], x0: np.ndarray) -> None:
+        self._end()
+        head = 12 * len(manifest["images"]) + len(PARAMETERS) * len(manifest["cameras"])
+        self._writer = RowWriter(self._run, manifest, head, len(x0))
+        if self._live is not None:
+            self._recording = self._live(self._run / "recording.rrd", self._block, manifest, x0)
+
+    def row(self, row: Iteration) -> None:
+        if self._writer is not None:
+            self._writer.add(row)
+        if self._recording is not None:
+            self._recording.row(row)
+        self.last = row
+
+    def _end(self) -> None:
+        for part in (self._writer, self._recording):
+            if part is not None:
+                part.close()
+        self._writer = self._recording = None
+
+    def close(self) -> None:
+        """The run is told to be at its end."""
+        self._end()
+        (self._run / RUNNING).unlink(missing_ok=True)
+
+
+def is_running(run: Path) -> bool:
+    """Whether the adjustment of a run is still going on."""
+    try:
+        process = int((run / RUNNING).read_text(encoding="ascii"))
+        if os.name == "posix":
+            os.kill(process, 0)  # raises where there is no such process
+    except (OSError, ValueError):
+        return False
+    return True
+
+
+def leave_run(folder: Path, command: str, block: Block, result: Adjusted, recorder: BundleRecorder | None = None,
+              run: Path | None = None) -> AdjustedProject:
+    """Keep an adjusted block as a run of a project (a new one, or the one given): trace, covariances, result.json,
+    recording.rrd; all of it or nothing."""
+    fresh, run = run is None, new_run(folder, command) if run is None else run
+    try:
+        if len(result.trace.last.x) >= LARGE and not (run / "rows.bin").exists():
+            rows = Rows(run, block, None)
+            rows.begin(result.trace.manifest, result.trace.rows[0].x)
+            for row in result.trace.rows:
+                rows.row(row)
+            rows.close()
         save_trace(result.trace, run)
+        if (run / "trace.npz").exists():
+            for name in ("rows.bin", "rows.json"):
+                (run / name).unlink(missing_ok=True)
+        if len(result.points) > MOST:  # too many for the JSON
+            save_arrays(result.covariances(), run / "covariance.npz")
         if recorder is not None:
             recorder(run / "recording.rrd", block, result)
         done = AdjustedProject(block, result, run)
         write_json(run / "result.json", done.to_json())
     except BaseException:
-        shutil.rmtree(run, ignore_errors=True)
+        if fresh:
+            shutil.rmtree(run, ignore_errors=True)
         raise
     return done
+
+
+def begun_of(folder: Path, further: str) -> tuple[Begun, dict[str, Any]]:
+    """Where RUN or RUN:ROW of a project is continued, and the options it was adjusted with. RUN: a name or a path, nothing for
+    the latest run with rows. Raises BadProject."""
+    name, _, row = further.rpartition(":") if further.rpartition(":")[2].isdecimal() else (further, "", "")
+    run = latest_with_rows(folder) if not name else next((p for p in (folder / "runs" / name, Path(name)) if p.is_dir()), None)
+    if run is None:
+        raise BadProject(f"{folder / 'runs'}: there is no run {name or 'with rows of an adjustment'} to continue; adjust the "
+                         "project first")
+    if (run / "rows.json").exists():
+        reader = RowReader(run)
+        manifest, last = reader.manifest, len(reader) - 1
+        first, x = reader.first(), reader.row(int(row) if row else last).x
+    else:
+        trace = load_trace(run)
+        if row and int(row) >= len(trace):
+            raise BadProject(f"{run}: there is no row {row}; rows 0 to {len(trace) - 1} are there")
+        manifest, first, x = trace.manifest, trace.rows[0].x, trace.rows[int(row) if row else -1].x
+    if manifest.get("problem") != "bundle" or "request" not in manifest:
+        raise BadProject(f"{run}: this is no run of an adjustment that can be continued; adjust the project anew")
+    return Begun(manifest, first, x), options_of(manifest)
+
+
+def latest_with_rows(folder: Path) -> Path | None:
+    """The newest run of an adjustment that holds rows, at work or done."""
+    runs = [r for c in ("adjust", "calibrate") for h in ("rows.json", "trace.npz") if (r := latest_run(folder, h, c)) is not None]
+    return max(runs, key=lambda r: r.name, default=None)
+
+
+def options_of(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """The options, as in `BundleRequest`, behind a manifest."""
+    said = dict(manifest["request"])
+    free = said["free"]
+    said["free"] = {c: tuple(f) for c, f in free.items()} if isinstance(free, dict) else tuple(free)
+    said["images"] = None if said["images"] is None else tuple(said["images"])
+    said["per_image"] = tuple(said["per_image"]) if isinstance(said["per_image"], list) else said["per_image"]
+    return said
 
 
 def _by_corners(block: Block, path: str, options: dict[str, Any]) -> tuple[Block, dict[str, Any]]:
@@ -85,10 +242,14 @@ def adjust_bal(path: Path | str, **options: Any) -> AdjustedProject:
     return AdjustedProject(block, adjust_block(block, IN_THE_LARGE, **{**BAL, **options}), None)
 
 
-def adjust_block(block: Block, engine: Options | None = None, **options: Any) -> Adjusted:
+def adjust_block(block: Block, engine: Options | None = None, watch: Watch | None = None, begun: Begun | None = None,
+                 **options: Any) -> Adjusted:
     """Prepare, iterate, conclude. Raises PhotogrammetryError, also where numbers run out of range."""
     try:
-        return adjust(block, BundleRequest(**options), engine)
+        return adjust(block, BundleRequest(**options), engine, watch, begun)
     except np.linalg.LinAlgError as error:
         raise DegenerateGeometry(f"{block.name}: the numbers do not fit together ({error}); look for a point, a pixel or a "
                                  "camera value that is wrong by far, or try --robust") from None
+
+
+__all__ = ["AdjustedProject", "StoppedRun", "Trace", "adjust_bal", "adjust_block", "adjust_project", "begun_of", "leave_run"]

@@ -15,7 +15,7 @@ from .cameras.foreign import as_colmap, as_metashape, as_pix4d, to_brown
 from .errors import BadProject, Unsupported
 from .io import latest_run, write_json
 from .orientation import Adjusted
-from .workflows_bundle import AdjustedProject, BundleRecorder, adjust_project
+from .workflows_bundle import AdjustedProject, BundleRecorder, StoppedRun, adjust_project
 
 OPENCV_TERMS = ("k1", "k2", "k3", "p1", "p2", "aspect")
 
@@ -43,13 +43,15 @@ class CalibratedProject:
 
 
 def calibrate_project(folder: Path | str, compare: Sequence[Path | str] = (), recorder: BundleRecorder | None = None,
-                      **options: Any) -> CalibratedProject:
+                      **options: Any) -> CalibratedProject | StoppedRun:
     """Calibrate the cameras of a project and compare with other runs (or the latest calibrations of other projects).
 
     options: as in `BundleRequest`. Raises PhotogrammetryError.
     """
     others = [(str(at), earlier(at)) for at in compare]
     done = adjust_project(folder, "calibrate", recorder, **options)
+    if isinstance(done, StoppedRun):
+        return done
     mine = calibrated(done.result)
     comparisons = tuple(_compared(name, mine[name], where, theirs[name]) for where, theirs in others for name in mine
                         if name in theirs)
@@ -67,7 +69,7 @@ def calibrated(result: Adjusted) -> dict[str, Calibrated]:
     factor = max(result.sigma0 or 1.0, 1.0) ** 2 if result.dof > 30 else 1.0
     out = {}
     for camera, interior in result.interiors.items():
-        rows = [k for k, (c, _) in enumerate(result.interior_names) if c == camera]
+        rows = result.interior_rows(camera)
         at = [PARAMETERS.index(result.interior_names[k][1]) for k in rows]
         whole = np.zeros((10, 10))
         whole[np.ix_(at, at)] = factor * result.interior_covariance[np.ix_(rows, rows)]

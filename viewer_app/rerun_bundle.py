@@ -1,5 +1,6 @@
 """A bundle as a rerun recording: all images, points and curves on the timeline "iteration", drawn in batches.
 
+It begins with the adjustment and grows with every row (`Live`); at the end it is written anew with what the end is worth.
 Entity paths: `/bundle/images` (frustums), `/bundle/points`, `/points/control`, `/points/check`, `/plots/bundle`,
 `/log/bundle`, `/about`. Positions are metres in the block's local frame. Of a long trace only some rows are drawn.
 """
@@ -8,13 +9,14 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from solvers.adjustment import SCALARS, Trace
+from solvers.adjustment import SCALARS, Iteration, Trace
 from solvers.block import Block
 from solvers.geometry import LocalFrame
 
@@ -41,40 +43,72 @@ def record_bundle(path: str | Path, block: Block, adjusted: Adjusted) -> None:
         stream = rr.RecordingStream("collinea", recording_id=digest, send_properties=False)
         stream.set_log_time_enabled(False)
         stream.set_log_tick_enabled(False)
-        scene = _Scene(stream, block, adjusted)
+        scene = _Scene(stream, block, trace.manifest, trace.last.x)
         stream.save(unfinished, default_blueprint=scene.blueprint())
         with stream:
             stream.send_recording_name(block.name)
             scene.still()
-            scene.rows()
-            scene.curves()
+            scene.end(adjusted)
+            scene.rows(trace)
+            scene.curves(trace)
         os.replace(unfinished, path)
     finally:
         unfinished.unlink(missing_ok=True)
 
 
+class Live:
+    """The recording of an adjustment that is still going on: a row is in the file as soon as it is known."""
+
+    def __init__(self, path: str | Path, block: Block, manifest: Mapping[str, Any], x0: np.ndarray) -> None:
+        import rerun as rr
+
+        self._stream = rr.RecordingStream("collinea", recording_id=hashlib.sha256(f"{path}".encode()).hexdigest()[:32],
+                                          send_properties=False)
+        self._stream.set_log_time_enabled(False)
+        self._stream.set_log_tick_enabled(False)
+        self._scene = _Scene(self._stream, block, manifest, x0)
+        self._stream.save(path, default_blueprint=self._scene.blueprint())
+        with self._stream:
+            self._stream.send_recording_name(block.name)
+            self._scene.still()
+
+    def row(self, row: Iteration) -> None:
+        """Draw it and its figures; of a long adjustment only some rows."""
+        if row.index < ROWS or row.index % 10 == 0 or row.stop:
+            self._scene.row(row)
+            self._scene.figures(row)
+            self._stream.flush()
+
+    def close(self) -> None:
+        """The file is complete."""
+        self._stream.flush()
+        self._stream.disconnect()
+
+
 class _Scene:
     """The block and its trace as rerun's values."""
 
-    def __init__(self, stream: Any, block: Block, adjusted: Adjusted) -> None:
-        self.stream, self.block, self.adjusted, self.trace = stream, block, adjusted, adjusted.trace
-        manifest = self.trace.manifest
+    def __init__(self, stream: Any, block: Block, manifest: Mapping[str, Any], x: np.ndarray) -> None:
+        self.stream, self.block, self.manifest, self.x = stream, block, manifest, x
         self.m, self.k, self.n = len(manifest["images"]), len(manifest["cameras"]), len(manifest["points"])
         self.frame = LocalFrame.around(np.asarray(manifest["origin"], float)[None], block.crs, block.frame)
-        centres, points = self._parts(self.trace, -1)[0][:, :3], self._parts(self.trace, -1)[1]
-        far = np.median(np.linalg.norm(centres - np.median(points, axis=0), axis=1)) if len(points) else 1.0
-        self.size = max(float(far) / 10, 1e-4)
+        poses, points = self._parts(x)
+        far = np.median(np.linalg.norm(poses[:, :3] - np.median(points, axis=0), axis=1)) if len(points) else 1.0
+        size = max(float(far) / 10, 1e-4)
         self.chosen = np.linspace(0, self.n - 1, min(self.n, DRAWN)).astype(int)
+        cameras = [block.camera_of(name) for name in manifest["images"]]
+        half = np.array([np.array([c.width, c.height]) * c.pitch / 2 / c.c for c in cameras]).reshape(-1, 1, 2)
+        corners = np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]]) * half
+        self.rays = np.concatenate([corners, np.full((self.m, 4, 1), -1.0)], axis=2) * size  # (m, 4, 3) photo axes
 
-    def _parts(self, trace: Trace, row: int) -> tuple[np.ndarray, np.ndarray]:
-        x = trace.rows[row].x
+    def _parts(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         a = 12 * self.m
-        return x[:a].reshape(-1, 12), x[a + 10 * self.k:].reshape(-1, 3)[:self.n]
+        return x[:a].reshape(-1, 12), x[a + 10 * self.k:a + 10 * self.k + 3 * self.n].reshape(-1, 3)
 
     def blueprint(self) -> Any:
         import rerun.blueprint as rrb
 
-        poses, points = self._parts(self.trace, -1)
+        poses, points = self._parts(self.x)
         seen = np.concatenate([points, poses[:, :3]])
         low, high = np.percentile(seen, [2, 98], axis=0)
         target, reach = (low + high) / 2, 1.2 * max(float(np.linalg.norm(high - low)), 1e-3)
@@ -94,59 +128,73 @@ class _Scene:
         log = partial(self.stream.log, static=True)
         log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         log("/about", rr.TextDocument(about(self.block, self.frame), media_type=rr.MediaType.MARKDOWN))
+        names = ["log10 cost", "log10 sigma0", "log10 step"]
+        log("/plots/bundle/log10", rr.SeriesLines(names=names, widths=[2.0] * 3))
+
+    def end(self, adjusted: Adjusted) -> None:
+        """What holds for the end alone: known points, what they differ by, error ellipsoids, warnings."""
+        import rerun as rr
+
+        log = partial(self.stream.log, static=True)
         for role, colour in (("control", theme.CONTROL), ("check", theme.CHECK)):
-            of = [p for p in self.adjusted.points if p.role == role]
+            of = [p for p in adjusted.points if p.role == role]
             if of:
                 xyz = self.frame.to_local(np.array([p.xyz for p in of]))
                 log(f"/points/{role}", rr.Points3D(xyz, colors=colour, radii=rr.Radius.ui_points(4), labels=[p.name for p in of],
                                                    show_labels=len(of) <= 60))
-        for warning in self.adjusted.warnings:
+        for warning in adjusted.warnings:
             log("/log/bundle/warnings", rr.TextLog(warning, level="WARN"))
 
-    def rows(self) -> None:
-        import rerun as rr
-
-        count = len(self.trace)
+    def rows(self, trace: Trace) -> None:
+        """Some rows of a trace, the first and the last among them."""
+        count = len(trace)
         for row in np.unique(np.linspace(0, count - 1, min(count, ROWS)).astype(int)):
-            poses, points = self._parts(self.trace, row)
-            at = self.trace.rows[row]
-            self.stream.set_time("iteration", sequence=at.index)
-            self.stream.log("/bundle/images", rr.LineStrips3D(self._frustums(poses), colors=theme.PERSPECTIVE,
-                                                              radii=rr.Radius.ui_points(1)))
-            dots = rr.Points3D(points[self.chosen], colors=theme.INITIAL, radii=rr.Radius.ui_points(1.5))
-            self.stream.log("/bundle/points", dots)
-            moved = "" if at.index == 0 else f", step {at.step:.2e}, damping {at.damping:.1e}, {at.trials} trials"
-            self.stream.log("/log/bundle", rr.TextLog(f"row {at.index}: cost {at.cost:.6g}, sigma0 {at.sigma0:.4g}{moved}"
-                                                      + (f", stopped by {at.stop}" if at.stop else "")))
+            self.row(trace.rows[row])
 
-    def _frustums(self, poses: np.ndarray) -> list[np.ndarray]:
-        """One strip for each image: its format in front of the centre, and the four edges."""
-        out = []
-        for i, row in enumerate(poses):
-            camera = self.block.camera_of(self.trace.manifest["images"][i])
-            half = np.array([camera.width, camera.height]) * camera.pitch / 2 / camera.c
-            corners = np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]]) * half
-            rays = np.column_stack([corners, -np.ones(4)]) * self.size
-            at = row[:3] + rays @ row[3:].reshape(3, 3)
-            c = row[:3]
-            out.append(np.array([at[0], at[1], c, at[2], at[1], c, at[0], at[3], c, at[2], at[3]]))
-        return out
-
-    def curves(self) -> None:
+    def row(self, at: Iteration) -> None:
+        """Images and points of a row, in two entities."""
         import rerun as rr
 
-        index = np.array([row.index for row in self.trace.rows])
+        poses, points = self._parts(at.x)
+        self.stream.set_time("iteration", sequence=at.index)
+        self.stream.log("/bundle/images", rr.LineStrips3D(self._frustums(poses), colors=theme.PERSPECTIVE,
+                                                          radii=rr.Radius.ui_points(1)))
+        dots = rr.Points3D(points[self.chosen], colors=theme.INITIAL, radii=rr.Radius.ui_points(1.5))
+        self.stream.log("/bundle/points", dots)
+        moved = "" if at.index == 0 else f", step {at.step:.2e}, damping {at.damping:.1e}, {at.trials} trials"
+        self.stream.log("/log/bundle", rr.TextLog(f"row {at.index}: cost {at.cost:.6g}, sigma0 {at.sigma0:.4g}{moved}"
+                                                  + (f", stopped by {at.stop}" if at.stop else "")))
+
+    def figures(self, at: Iteration) -> None:
+        """The scalars of a row."""
+        import rerun as rr
+
+        self.stream.set_time("iteration", sequence=at.index)
         for name in SCALARS:
-            values = self.trace.column(name).astype(float)
+            if np.isfinite(value := float(getattr(at, name))):
+                self.stream.log(f"/plots/bundle/{name}", rr.Scalars(value))
+        with np.errstate(all="ignore"):
+            logs = np.log10([v if v > 0 else np.nan for v in (at.cost, at.sigma0, at.step)])
+        self.stream.log("/plots/bundle/log10", rr.Scalars(logs))
+
+    def _frustums(self, poses: np.ndarray) -> np.ndarray:
+        """(m, 11, 3) one strip for each image: its format in front of the centre, and the four edges."""
+        at = poses[:, None, :3] + self.rays @ poses[:, 3:].reshape(-1, 3, 3)
+        return np.concatenate([at, poses[:, None, :3]], axis=1)[:, [0, 1, 4, 2, 1, 4, 0, 3, 4, 2, 3]].astype(np.float32)
+
+    def curves(self, trace: Trace) -> None:
+        import rerun as rr
+
+        index = np.array([row.index for row in trace.rows])
+        for name in SCALARS:
+            values = trace.column(name).astype(float)
             known = np.isfinite(values)
             if known.any():
                 self.stream.send_columns(f"/plots/bundle/{name}", [rr.TimeColumn("iteration", sequence=index[known])],
                                          rr.Scalars.columns(scalars=values[known]))
-        falling = np.column_stack([self.trace.column(name).astype(float) for name in ("cost", "sigma0", "step")])
+        falling = np.column_stack([trace.column(name).astype(float) for name in ("cost", "sigma0", "step")])
         with np.errstate(all="ignore"):
             logs = np.log10(np.where(falling > 0, falling, np.nan))
-        names = ["log10 cost", "log10 sigma0", "log10 step"]
-        self.stream.log("/plots/bundle/log10", rr.SeriesLines(names=names, widths=[2.0] * 3), static=True)
         when = [rr.TimeColumn("iteration", sequence=index)]
         self.stream.send_columns("/plots/bundle/log10", when, rr.Scalars.columns(scalars=logs))
 

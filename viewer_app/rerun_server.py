@@ -64,6 +64,13 @@ class Served:
         self.close()
 
 
+def growing(recording: Path) -> bool:
+    """Whether rows are still added to a recording: its run says so, and the process that makes them lives."""
+    from solvers.workflows_bundle import is_running
+
+    return is_running(recording.parent)
+
+
 def serve(recording: str | Path) -> Served:
     """rerun's web viewer with a recording, on a free port of 127.0.0.1; its page may stand in an iframe of a local page.
 
@@ -151,6 +158,8 @@ def _handler(recording: Path, page: dict[str, bytes]) -> type[BaseHTTPRequestHan
                 self._answer(403, "text/plain", b"not this host")
             elif path in PAGE:
                 self._answer(200, PAGE[path], page[path])
+            elif path == RECORDING and recording.is_file() and growing(recording):
+                self._growing(recording)
             elif path == RECORDING and recording.is_file():
                 self._answer(200, "application/octet-stream", recording.read_bytes())
             else:
@@ -159,17 +168,36 @@ def _handler(recording: Path, page: dict[str, bytes]) -> type[BaseHTTPRequestHan
         do_HEAD = do_GET
 
         def _answer(self, status: int, kind: str, body: bytes) -> None:
+            self._head(status, kind, ("Content-Length", str(len(body))))
+            if self.command == "GET":
+                with contextlib.suppress(ConnectionError):  # the page was closed
+                    self.wfile.write(body)
+
+        def _head(self, status: int, kind: str, more: tuple[str, str]) -> None:
             self.send_response(status)
             self.send_header("Content-Type", kind)
-            self.send_header("Content-Length", str(len(body)))
+            self.send_header(*more)
             self.send_header("Content-Security-Policy", POLICY)
             self.send_header("X-Content-Type-Options", "nosniff")
             self.send_header("Referrer-Policy", "no-referrer")
             self.send_header("Cache-Control", "no-store")
             self.end_headers()
-            if self.command == "GET":
-                with contextlib.suppress(ConnectionError):  # the page was closed
-                    self.wfile.write(body)
+
+        def _growing(self, path: Path) -> None:
+            """A recording that is still being written: what is there, and what comes, until its run is at its end."""
+            self._head(200, "application/octet-stream", ("Connection", "close"))
+            self.close_connection = True
+            if self.command != "GET":
+                return
+            with path.open("rb") as stream, contextlib.suppress(ConnectionError):
+                while True:
+                    more = growing(path)
+                    while part := stream.read(1 << 20):
+                        self.wfile.write(part)
+                    if not more:
+                        return
+                    self.wfile.flush()
+                    time.sleep(0.1)
 
         def log_message(self, format: str, *args: object) -> None:
             """Silent: the page's requests are nobody's news."""

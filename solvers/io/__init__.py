@@ -29,17 +29,17 @@ from .photos import (
 from .photostore import PhotoStore
 from .priors import write_priors
 from .project import read_project, read_truth, write_observation_table, write_observations, write_project, write_tables
-from .runs import latest_run, load_trace, new_run, save_trace, trace_name
+from .rows import RowReader, RowWriter
+from .runs import latest_run, load_trace, new_run, save_arrays, save_trace, trace_name
 from .surface import find_geoid, read_surface
 from .telemetry import read_flight_log, read_mrk, read_positions
 
-__all__ = ["ArrayFolder", "Ask", "Coding", "ControlList", "Exif", "Part", "PhotoStore", "Thumbnail", "TileFolder",
-           "WrittenCorners",
-           "areas_of", "assemble", "check_photos", "crs", "demo_assets", "demo_copy", "encode_tile", "find_geoid", "full_disk",
-           "jsonable", "latest_run", "load_trace", "new_run", "no_space", "photo_path", "photo_size", "photo_state",
-           "photo_time", "photo_window", "read_bal", "read_control", "read_corners", "read_exif", "read_flight_log",
-           "read_heights", "read_motion", "read_mrk", "read_onboard", "read_photo", "read_positions", "read_project",
-           "read_surface", "read_truth", "save_trace", "surface_path", "thumbnail", "to_picture", "trace_name",
-           "write_areas", "write_cog",
-           "write_corners", "write_heights", "write_image", "write_json", "write_observation_table", "write_observations",
-           "write_priors", "write_project", "write_tables", "write_world_file"]
+__all__ = ["ArrayFolder", "Ask", "Coding", "ControlList", "Exif", "Part", "PhotoStore", "RowReader", "RowWriter",
+           "Thumbnail", "TileFolder", "WrittenCorners", "areas_of", "assemble", "check_photos", "crs", "demo_assets",
+           "demo_copy", "encode_tile", "find_geoid", "full_disk", "jsonable", "latest_run", "load_trace", "new_run",
+           "no_space", "photo_path", "photo_size", "photo_state", "photo_time", "photo_window", "read_bal", "read_control",
+           "read_corners", "read_exif", "read_flight_log", "read_heights", "read_motion", "read_mrk", "read_onboard",
+           "read_photo", "read_positions", "read_project", "read_surface", "read_truth", "save_arrays", "save_trace",
+           "surface_path", "thumbnail", "to_picture", "trace_name", "write_areas", "write_cog", "write_corners",
+           "write_heights", "write_image", "write_json", "write_observation_table", "write_observations", "write_priors",
+           "write_project", "write_tables", "write_world_file"]

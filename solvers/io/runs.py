@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,10 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from ..adjustment import SCALARS, Iteration, Trace
+from ..adjustment import LARGE, SCALARS, Iteration, Trace
 from ..errors import BadProject, BadTable
 from .files import decode_utf8, read_bytes, safe_name, write_atomic, write_json
+from .rows import RowReader
 
 RUN = re.compile(r"\d{8}-\d{6}-\w+(-\d+)?")
 REDO = "delete this run and compute it again"
@@ -50,14 +52,26 @@ def trace_name(image: str, model: str) -> str:
 
 
 def save_trace(trace: Trace, run_folder: Path | str, name: str = "trace") -> Path:
-    """Write a trace as name.npz (x and scalars per row) and name.json (manifest and stop reason); returns the npz path."""
+    """Write a trace as name.npz (x and scalars per row) and name.json (manifest and stop reason); returns the npz path.
+
+    A large one whose rows are there already (rows.bin, written while they were made) gets its name.json alone.
+    """
     folder = Path(run_folder)
+    if len(trace.last.x) >= LARGE and name == "trace" and (folder / "rows.bin").exists():
+        manifest = {**trace.manifest, "stop": trace.last.stop, "rows": len(trace), "format": FORMAT, "thin": True}
+        write_json(folder / f"{name}.json", manifest)
+        return folder / "rows.bin"
     arrays: dict[str, Any] = {"x": trace.column("x"), "index": trace.column("index"), **{k: trace.column(k) for k in SCALARS}}
     path = folder / f"{name}.npz"
     write_atomic(path, lambda stream: np.savez(stream, **arrays))
     manifest = {**trace.manifest, "stop": trace.last.stop, "rows": len(trace), "format": FORMAT}
     write_json(folder / f"{name}.json", manifest)
     return path
+
+
+def save_arrays(arrays: Mapping[str, np.ndarray], path: Path) -> None:
+    """Write named arrays as one npz file, atomically."""
+    write_atomic(path, lambda stream: np.savez(stream, **arrays))  # type: ignore[arg-type]
 
 
 def load_trace(run_folder: Path | str, name: str = "trace") -> Trace:
@@ -67,6 +81,11 @@ def load_trace(run_folder: Path | str, name: str = "trace") -> Trace:
     stop, rows = manifest.pop("stop", None), manifest.pop("rows", None)
     if manifest.pop("format", None) != FORMAT:
         raise BadProject(f"{folder / name}.json: this is not a trace of this version of Collinea; {REDO}")
+    if manifest.pop("thin", False):
+        kept = list(RowReader(folder).rows())
+        if len(kept) != rows or not kept:
+            raise BadProject(f"{folder / 'rows.bin'}: its rows do not agree with {name}.json; {REDO}")
+        return Trace((*kept[:-1], replace(kept[-1], stop=stop)), manifest)
     path = folder / f"{name}.npz"
     try:
         with np.load(path, allow_pickle=False) as arrays:

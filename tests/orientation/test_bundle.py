@@ -113,7 +113,8 @@ def test_covariance_of_poses_points_and_sums_of_squares_by_monte_carlo():
             (ties if p.role == "tie" else checks).append(gap @ np.linalg.solve(p.covariance, gap))
         sums.append((2 * got.cost, got.dof))
         assert sum(r for _, r in got.groups.values()) == pytest.approx(got.dof)
-        assert sum(o.redundancy.sum() for o in got.orientations) == pytest.approx(got.groups["image"][1])
+        assert sum(o.redundancy.sum() for o in got.orientations) == pytest.approx(
+            got.groups["tie image"][1] + got.groups["control image"][1])
     chi_square_band(np.array(errors), 6, 0.999)
     chi_square_band(np.array(ties), 3, 0.999)
     chi_square_band(np.array(checks), 3, 0.999)
@@ -151,7 +152,13 @@ def test_json_keeps_the_contract():
             "warnings"} <= set(out["orientations"][0])
     assert {"c_mm", "xp_mm", "b2", "sigma"} <= set(out["interior"]["nex"]) and list(out["interior"]["nex"]["sigma"]) == ["c_mm"]
     assert {"name", "X", "Y", "Z", "sX", "sY", "sZ", "role", "dX", "dY", "dZ"} <= set(out["points"][0])
-    assert set(out["reliability"]["groups"]) == {"image", "control", "prior"}
+    assert set(out["reliability"]["groups"]) == {"tie image", "control image", "control", "GPS", "IMU"}
+    joint = out["orientations"][0]["interior_covariance"]
+    assert joint["parameters"] == ["c_mm"] and np.shape(joint["matrix"]) == (6, 1)
+    tie = next(p for p in out["points"] if p["role"] == "tie")
+    axes = tie["ellipsoid"]["half_axes_m"]
+    assert axes[0] >= axes[1] >= axes[2] > 0
+    assert np.sum(np.square(axes)) == pytest.approx(2.7954834829**2 * (tie["sX"]**2 + tie["sY"]**2 + tie["sZ"]**2))
 
 
 # -- datum ----------------------------------------------------------------------------------------------------------------
@@ -201,12 +208,12 @@ def test_a_long_range_network_converges_from_crude_points():
 def test_priors_alone_give_a_datum():
     sim = small_uav(5)
     got = adjust(sim.block, datum="prior")
-    assert got.trace.converged and set(got.groups) == {"image", "prior"}
+    assert got.trace.converged and set(got.groups) == {"tie image", "GPS", "IMU"}
     assert got.control_rms is not None and (got.control_rms < 6).all() and (got.control_rms > 0.01).all()
     alone = replace(sim.block, images=tuple(replace(i, prior=Prior(i.prior.centre, None, i.prior.sigma_m))
                                             for i in sim.block.images if i.prior))
     positions = adjust(alone, datum="both")
-    assert positions.trace.converged and positions.groups["prior"][1] < 18
+    assert positions.trace.converged and positions.groups["GPS"][1] < 18 and "IMU" not in positions.groups
 
 
 # -- wrong data -----------------------------------------------------------------------------------------------------------

@@ -31,6 +31,8 @@ def forward(block):
     (BundleRequest(), None), (BundleRequest(free=ALL_TEN, datum="both"), None), (BundleRequest(free=ALL_TEN), fixed),
     (BundleRequest(free=ALL_TEN, loss="huber"), None), (BundleRequest(free=ALL_TEN, loss="cauchy"), None),
     (BundleRequest(free=ALL_TEN, loss="danish"), None),
+    (BundleRequest(free=("c", "xp", "yp", "k1"), per_image=("xp", "yp")), None),
+    (BundleRequest(datum="free", free=("c", "xp", "yp"), per_image=("xp", "yp")), None),
     (BundleRequest(datum="free", free=ALL_TEN), None)])
 def test_it_agrees_with_the_plain_path(request_, change):
     block = calibration_plate(5).block
@@ -54,7 +56,7 @@ def test_it_agrees_with_the_plain_path(request_, change):
     assert a.converged and b.converged and b.last.cost == pytest.approx(a.last.cost, rel=1e-8)
     x = a.last.x
     one, two = statistics(plain, x), statistics(fast, x)
-    for name in ("poses", "interior", "points", "redundancy", "w"):
+    for name in ("poses", "interior", "points", "redundancy", "w", "cross"):
         p, q = getattr(one, name), getattr(two, name)
         np.testing.assert_allclose(q, p, rtol=1e-6, atol=1e-6 * np.nanmax(np.abs(p), initial=0.0), err_msg=name)
 

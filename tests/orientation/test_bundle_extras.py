@@ -102,8 +102,8 @@ def test_truth_is_recovered_to_round_off() -> None:
 def test_a_shift_left_unsaid_spoils_the_block_and_shows() -> None:
     block, _ = flown(5)
     good, bad = adjust(block, datum="both"), adjust(replace(block, gps=Gps(LEVER)), datum="both")
-    assert good.groups["prior"][0] is not None and 0.5 < good.groups["prior"][0] < 1.5
-    assert bad.groups["prior"][0] is not None and bad.groups["prior"][0] > 5
+    assert good.groups["GPS"][0] is not None and 0.5 < good.groups["GPS"][0] < 1.5
+    assert bad.groups["GPS"][0] is not None and bad.groups["GPS"][0] > 5
 
 
 def test_shifts_and_sums_of_squares_by_monte_carlo() -> None:
@@ -139,6 +139,12 @@ def test_interiors_of_every_image_on_its_own() -> None:
     got = adjust(sim.block, free=("c",), per_image=True, datum="control")
     assert len(got.interiors) == 8 and set(got.interior_sigma) == {f"camera@plate{i}" for i in range(1, 9)}
     one = adjust(sim.block, free=("c",))
+    mixed = adjust(sim.block, free=("c", "xp"), per_image=("xp",))  # c of the camera, xp of every image
+    assert mixed.interior_names[0] == ("camera", "c") and len(mixed.interior_names) == 9
+    assert len({i.c for i in mixed.interiors.values()}) == 1 and len({i.xp for i in mixed.interiors.values()}) == 8
+    assert len({s["c"] for s in mixed.interior_sigma.values()}) == 1
+    with pytest.raises(BadProject, match="k1 of every image"):
+        adjust(sim.block, free=("c",), per_image=("k1",))
     assert max(s["c"] for s in got.interior_sigma.values()) > 2 * one.interior_sigma["camera"]["c"]
 
 

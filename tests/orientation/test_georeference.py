@@ -405,7 +405,7 @@ def test_corners_are_control_for_a_bundle() -> None:
     block, onboard = flown()
     got = adjust(with_corners(block, [corner_control(block, o, 0.0, 2.0) for o in onboard]), datum="prior")
     assert got.trace.converged and got.check_rms is not None and 0.05 < np.linalg.norm(got.check_rms) < 4
-    assert 0.6 < (got.groups["prior"][0] or 0.0) < 1.5
+    assert 0.6 < (got.groups["GPS/IMU"][0] or 0.0) < 1.5
     off = np.array([p.off for p in got.points if p.role == "check"])
     predicted = np.sqrt(np.mean([np.trace(p.covariance) for p in got.points if p.role == "check"]))
     assert 0.2 < np.sqrt((off**2).sum(axis=1).mean()) / predicted < 2.5

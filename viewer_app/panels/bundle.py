@@ -191,7 +191,8 @@ def plots_html(state: State) -> str:
     if result is not None and k is not None:
         parts += [_title(f"Correlations of {esc(state.image)}", "exterior orientation, percent"),
                   correlation_svg("Correlations of the exterior orientation", EXTERIOR, result.exterior[k])]
-        mine = [i for i, (c, _) in enumerate(result.freed) if c == room.layout.cameras[camera]]
+        own = room.layout.cameras[camera]
+        mine = [i for i, (c, _) in enumerate(result.freed) if own == c or own.startswith(f"{c}@")]
         if mine:
             parts += [_title("Correlations of the interior", "percent"),
                       correlation_svg("Correlations of the interior orientation", tuple(result.freed[i][1] for i in mine),

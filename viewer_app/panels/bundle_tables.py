@@ -17,7 +17,8 @@ from .widgets import MUTED, css, decimals, esc, swatch, table
 
 ROWS = 60
 """Rows of a table at most; the worst come first."""
-GROUPS = {"image": "image coordinates", "tie": "tie points", "control": "control coordinates", "prior": "GPS/IMU priors"}
+GROUPS = {"tie image": "image, tie points", "control image": "image, control", "control": "control coordinates",
+          "GPS": "GPS positions", "IMU": "IMU angles", "GPS/IMU": "GPS and IMU together"}
 UNITS = {"c": "mm", "xp": "mm", "yp": "mm", "k1": "mm⁻²", "k2": "mm⁻⁴", "k3": "mm⁻⁶", "p1": "mm⁻¹", "p2": "mm⁻¹"}
 
 
@@ -172,10 +173,11 @@ def interior_table(result: Judged, layout: Layout) -> str:
     sigma = dict(zip(result.freed, np.sqrt(np.diag(result.interior_covariance)), strict=True)) if result.freed else {}
     found = ""
     for name, interior in zip(layout.cameras, result.interiors, strict=True):
-        free = [p for p in PARAMETERS if (name, p) in sigma]
+        mine = {p: v for (c, p), v in sigma.items() if name == c or name.startswith(f"{c}@")}
+        free = [p for p in PARAMETERS if p in mine]
         rows = []
         for p in free[:10]:
-            value, s = float(getattr(interior, p)), float(sigma[name, p])
+            value, s = float(getattr(interior, p)), float(mine[p])
             text = f"{value:.{decimals(s)}f}" if p in ("c", "xp", "yp") else f"{value:.4e}"
             rows.append(("", (f"{p} <span {MUTED}>{UNITS.get(p, '')}</span>", text, f"{s:.2g}")))
         if rows:

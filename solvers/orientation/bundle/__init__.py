@@ -1,8 +1,8 @@
 """Bundle adjustment: images, interior orientations and object points together, perspective model."""
 
-from .adjust import BundleRequest, BundleStart, adjust, conclude_bundle, exteriors, prepare_bundle
+from .adjust import Begun, BundleRequest, BundleStart, Stopped, Watch, adjust, conclude_bundle, exteriors, prepare_bundle
 from .problem import Bundle
-from .result import Adjusted, AdjustedPoint
+from .result import MOST, Adjusted, AdjustedPoint
 
-__all__ = ["Adjusted", "AdjustedPoint", "Bundle", "BundleRequest", "BundleStart", "adjust", "conclude_bundle", "exteriors",
-           "prepare_bundle"]
+__all__ = ["MOST", "Adjusted", "AdjustedPoint", "Begun", "Bundle", "BundleRequest", "BundleStart", "Stopped", "Watch", "adjust",
+           "conclude_bundle", "exteriors", "prepare_bundle"]

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
-from ...adjustment import Options, Trace, iterate, solve
+from ...adjustment import Iteration, Options, Trace, iterate, solve, thin
 from ...adjustment.losses import LOSSES
 from ...block import Block
 from ...cameras import PARAMETERS
 from ...errors import BadProject, DegenerateGeometry
-from ...geometry import Exterior
+from ...geometry import Exterior, LocalFrame
 from ..single import camera_manifest
 from .datum import Inner
 from .given import BundleRequest, Given, given, network
@@ -41,6 +41,35 @@ LARGEST = 10 * DENSE
 """Elements of a design matrix beyond which the orthogonal model, which keeps it whole, refuses."""
 
 
+class Watch(Protocol):
+    """Who wants to see the rows while they are made."""
+
+    def begin(self, manifest: Mapping[str, Any], x0: np.ndarray) -> None:
+        """An adjustment begins, anew where the one before it failed."""
+        ...
+
+    def row(self, row: Iteration) -> None:
+        """It has come so far."""
+        ...
+
+
+class Stopped(KeyboardInterrupt):
+    """A person stopped the adjustment (Ctrl+C); trace: the rows so far."""
+
+    def __init__(self, trace: Trace) -> None:
+        super().__init__("stopped by Ctrl+C")
+        self.trace = trace
+
+
+@dataclass(frozen=True)
+class Begun:
+    """Where an earlier adjustment of the block is continued: its manifest, x of its first row and of the row to go on from."""
+
+    manifest: Mapping[str, Any]
+    first: np.ndarray
+    x: np.ndarray
+
+
 @dataclass(frozen=True)
 class BundleStart:
     """A bundle ready to iterate, and what is needed to conclude from its trace."""
@@ -53,36 +82,58 @@ class BundleStart:
     warnings: tuple[str, ...]
 
 
-def adjust(block: Block, request: BundleRequest | None = None, engine: Options | None = None, **options: Any) -> Adjusted:
-    """Bundle adjustment of a block; options as in `BundleRequest`; engine: how to iterate, None for what suits it.
+def adjust(block: Block, request: BundleRequest | None = None, engine: Options | None = None, watch: Watch | None = None,
+           begun: Begun | None = None, **options: Any) -> Adjusted:
+    """Bundle adjustment of a block; options as in `BundleRequest`; engine: how to iterate, None for what suits it; watch: is
+    shown every row as it is made; begun: an earlier adjustment to continue.
 
     Where it fails or fits badly, the network is oriented by its tie points alone to find what contradicts it; control that made
-    it fail is left out, and said first. Raises BadProject, DegenerateGeometry.
+    it fail is left out, and said first. Raises BadProject, DegenerateGeometry, and Stopped where Ctrl+C ended it.
     """
     request = request or BundleRequest(**options)
-    if request.model == "orthogonal":
-        return _adjusted(block, request, engine)
+    if request.model == "orthogonal" or begun is not None:
+        return _adjusted(block, request, engine, watch, begun)
     trouble: DegenerateGeometry | None = None
     result: Adjusted | None = None
     try:
-        result = _adjusted(block, request, engine)
+        result = _adjusted(block, request, engine, watch)
     except DegenerateGeometry as error:
         trouble = error
     if result is not None and (result.trace.converged and (result.sigma0 or 0.0) < BAD):
         return result
-    return _rescued(block, request, engine, result, trouble)
+    return _rescued(block, request, engine, result, trouble, watch)
 
 
-def _adjusted(block: Block, request: BundleRequest, engine: Options | None) -> Adjusted:
-    start = prepare_bundle(block, request)
-    rows = iterate(start.problem, start.x0, engine or start.options)
-    result = conclude_bundle(start, Trace(tuple(rows), start.manifest))
+def _adjusted(block: Block, request: BundleRequest, engine: Options | None, watch: Watch | None = None,
+              begun: Begun | None = None) -> Adjusted:
+    start = prepare_bundle(block, request, begun)
+    result = conclude_bundle(start, _run(start, engine or start.options, watch))
     swapped = exchanged(block, {o.image: o.exterior.centre for o in result.orientations})
     return replace(result, warnings=(*swapped, *result.warnings)) if swapped else result
 
 
+def _run(start: BundleStart, options: Options, watch: Watch | None) -> Trace:
+    """The rows, those behind the last one thin. Raises Stopped."""
+    rows: list[Iteration] = []
+    if watch is not None:
+        watch.begin(start.manifest, start.x0)
+    try:
+        for row in iterate(start.problem, start.x0, options):
+            if rows:
+                rows[-1] = thin(rows[-1])
+            rows.append(row)
+            if watch is not None:
+                watch.row(row)
+    except KeyboardInterrupt:
+        if not rows:
+            raise
+        rows[-1] = replace(rows[-1], stop="stopped")
+        raise Stopped(Trace(tuple(rows), start.manifest)) from None
+    return Trace(tuple(rows), start.manifest)
+
+
 def _rescued(block: Block, request: BundleRequest, engine: Options | None, result: Adjusted | None,
-             trouble: DegenerateGeometry | None) -> Adjusted:
+             trouble: DegenerateGeometry | None, watch: Watch | None = None) -> Adjusted:
     """The better of what there is and of a new beginning from the network alone, with what is wrong said first.
 
     Raises the first error where that is all there is.
@@ -96,7 +147,7 @@ def _rescued(block: Block, request: BundleRequest, engine: Options | None, resul
             clean = clean.with_role(name, "check")
         for start in ("auto", "relative"):
             try:
-                tried = _adjusted(clean, replace(request, start=start), engine)  # type: ignore[arg-type]
+                tried = _adjusted(clean, replace(request, start=start), engine, watch)  # type: ignore[arg-type]
             except DegenerateGeometry:
                 continue
             if again is None or not again.trace.converged or tried.cost < again.cost:
@@ -114,8 +165,8 @@ def _rescued(block: Block, request: BundleRequest, engine: Options | None, resul
     return replace(result, warnings=(*wrong.said, *result.warnings))
 
 
-def prepare_bundle(block: Block, request: BundleRequest) -> BundleStart:
-    """The problem of a request with its start, found without approximate values.
+def prepare_bundle(block: Block, request: BundleRequest, begun: Begun | None = None) -> BundleStart:
+    """The problem of a request with its start, found without approximate values, or that of an earlier adjustment.
 
     Raises BadProject (unknown names, double measurements, missing priors) and DegenerateGeometry (no start, no datum, parts of
     the block that share nothing).
@@ -123,9 +174,10 @@ def prepare_bundle(block: Block, request: BundleRequest) -> BundleStart:
     if request.loss is not None and request.loss not in LOSSES:
         raise BadProject(f"'{request.loss}' is not a robust loss; choose from {', '.join(LOSSES)}")
     data = given(block, request)
-    poses, xyz, said = begin(data)
+    poses, xyz, said = begin(data) if begun is None else _again(data, begun)
     net, x0, left = network(data, poses, xyz)
-    inner = _inner(data, net, x0) if request.datum == "free" else None
+    first, x0 = (x0, x0) if begun is None else _further(data, net, x0, begun)
+    inner = _inner(data, net, first) if request.datum == "free" else None
     problem = Bundle.of(net, inner, None if request.compiled is None else not request.compiled)
     if inner:
         x0 = inner.restored(net, x0)
@@ -140,8 +192,43 @@ def prepare_bundle(block: Block, request: BundleRequest) -> BundleStart:
         if request.rolling_shutter != "none":
             raise BadProject("the orthogonal model knows no rolling shutter; take --model perspective")
         return _orthogonal(problem, x0, data, (*left, *said))
-    return BundleStart(problem, _softened(problem, x0), ROBUST if request.loss else BUNDLE, _manifest(data, net), data,
-                       (*left, *said))
+    x0 = x0 if begun else _softened(problem, x0)
+    return BundleStart(problem, x0, ROBUST if request.loss else BUNDLE, _manifest(data, net), data, (*left, *said))
+
+
+def _again(data: Given, begun: Begun) -> tuple[dict[int, Exterior], np.ndarray, list[str]]:
+    """Poses and points of the first row of an earlier adjustment, as `start` gives them. Raises BadProject."""
+    block, manifest = data.block, begun.manifest
+    names = {image.name: k for k, image in enumerate(block.images)}
+    points = {name: k for k, name in enumerate(block.points.names)}
+    gone = [n for n in manifest["images"] if n not in names] + [n for n in manifest["points"] if n not in points]
+    if gone:
+        raise BadProject(f"{block.name}: '{gone[0]}' of the run is not in the project any more; adjust it anew")
+    own = LocalFrame.around(np.asarray(manifest["origin"], float)[None], manifest["crs"], manifest["frame"])
+    if np.abs(own.origin - data.frame.origin).max() > 1e-6:
+        raise BadProject(f"{block.name}: its known coordinates have changed since the run; adjust it anew")
+    m, k = len(manifest["images"]), len(manifest["cameras"])
+    poses = {names[n]: Exterior.from_vector(row) for n, row in zip(manifest["images"], begun.first[:12 * m].reshape(m, 12),
+                                                                   strict=True)}
+    xyz = np.full((len(block.points), 3), np.nan)
+    at = 12 * m + 10 * k
+    xyz[[points[n] for n in manifest["points"]]] = begun.first[at:at + 3 * len(manifest["points"])].reshape(-1, 3)
+    return poses, xyz, []
+
+
+def _further(data: Given, net: Network, x0: np.ndarray, begun: Begun) -> tuple[np.ndarray, np.ndarray]:
+    """x of the first row and of the row to go on from, its rotations made orthonormal. Raises BadProject where the
+    project has changed."""
+    said = begun.manifest
+    if (list(net.images), list(net.points), list(net.cameras)) != (said["images"], said["points"], said["cameras"]) \
+            or len(begun.x) != len(x0):
+        raise BadProject(f"{data.block.name}: images, points or cameras that take part have changed since the run; adjust "
+                         "it anew")
+    x = np.array(begun.x, float)
+    poses = x[:12 * len(net.images)].reshape(-1, 12)
+    u, _, vt = np.linalg.svd(poses[:, 3:].reshape(-1, 3, 3))
+    poses[:, 3:] = (u @ vt).reshape(-1, 9)
+    return np.array(begun.first, float), x
 
 
 def _orthogonal(perspective: Bundle, x0: np.ndarray, data: Given, said: tuple[str, ...]) -> BundleStart:
@@ -263,7 +350,7 @@ def _manifest(data: Given, net: Network) -> dict[str, Any]:
         "problem": "bundle", "model": "perspective", "images": list(net.images), "cameras": list(net.cameras),
         "camera_of": net.camera.tolist(),
         "interiors": [camera_manifest(i) for i in net.interiors], "points": list(net.points), "crs": data.block.crs,
-        "frame": data.block.frame,
+        "frame": data.block.frame, "request": {k: v for k, v in asdict(data.request).items() if k != "compiled"},
         "origin": [float(v) for v in data.frame.origin], "options": request,
         "layout": {"images": "X, Y, Z, m11 .. m33 of every image", "cameras": ", ".join(PARAMETERS) + " of every camera",
                    "points": "X, Y, Z of every point"},

@@ -107,14 +107,15 @@ class Compiled:
         """Normal equations at x. A free network gets a minimal datum, of which nothing is left once `retract` restores the inner
         one: what the inner constraints take out of a step would be large where points are far, and spoil its prediction."""
         net, t = self.network, self.threads
-        m, f, live = net.sizes
+        m, _, live = net.sizes
+        f = len(net.border)
         photo = np.empty((len(net.image), 2))  # filled by this pass, read by those after it
         at = (*self._at(x), photo, net.first, net.count, net.border)
         parts = [np.zeros((t, *shape)) for shape in ((m, 6, 6), (m, f, 6), (f, 10), (m, 6), (len(net.count), 10))]
         v, q = np.zeros((live, 6)), np.zeros((live, 3))
         self._each(lambda k, a, b: self._kernels.gather(a, b, live, *at, *(p[k] for p in parts), v, q))
         u, b, c, g, h = (p.sum(axis=0) if t > 1 else p[0] for p in parts)
-        b, c, h = np.swapaxes(b, 1, 2), self._freed(c), self._of(h)
+        b, c, h = self._merged(np.swapaxes(b, 1, 2), 2), self._freed(c), self._of(h)
         rows, (misclosure, d) = net.prior_arrays[0], priors
         u[rows] += np.swapaxes(d, 1, 2) @ d
         g[rows] += (np.swapaxes(d, 1, 2) @ misclosure[..., None])[..., 0]
@@ -146,7 +147,7 @@ class Compiled:
             w = (np.sqrt(LOSSES[net.loss](v)) if net.loss else np.ones(len(o))) / net.sigma[o]
             j[k, :, :3], j[k, :, 3:] = at.centre * w[:, None, None], at.rotation * w[:, None, None]
             s = slice(net.first[net.camera[i]], net.first[net.camera[i]] + net.count[net.camera[i]])
-            border[k, :, s] = at.interior[:, :, net.which[s]] * w[:, None, None]
+            border[k[:, None, None], np.arange(2)[:, None], net.tie[s]] = at.interior[:, :, net.which[s]] * w[:, None, None]
             place = net.point_columns[net.point[o]] - 6 * len(net.images)
             for c in range(3):
                 border[k, :, place[:, c]] = at.point[:, :, c] * w[:, None]
@@ -159,7 +160,7 @@ class Compiled:
         if net.extras.held:
             rows, j, border = self._held(x)
             held = border.copy()
-            held[:, :, :len(net.which)] = 0.0  # what belongs to the interior orientation alone is there already
+            held[:, :, :net.freed] = 0.0  # what belongs to the interior orientation alone is there already
             np.add.at(b, net.image[rows], np.swapaxes(j, 1, 2) @ held)
             flat, own = border.reshape(-1, border.shape[2]), held.reshape(-1, border.shape[2])
             c += flat.T @ flat - (flat - own).T @ (flat - own)
@@ -194,35 +195,52 @@ class Compiled:
         return np.repeat(np.arange(len(self.network.count)), self.network.count)
 
     def _freed(self, c: np.ndarray) -> np.ndarray:
-        """(f, f) of the freed parameters, from (f, 10): each one's with the ten of its camera."""
+        """(f, f) of the freed parameters, from (raw, 10): each one's with the ten of its camera."""
         owner, which, n = self._owner, self.network.which, len(self._owner)
         out = np.zeros((len(c), len(c)))
         out[:n, :n] = np.where(owner[:, None] == owner, c[:n, which[:n]], 0.0)
-        return out
+        return self._merged(self._merged(out, 0), 1)
+
+    def _merged(self, a: np.ndarray, axis: int) -> np.ndarray:
+        """An axis over all freed parameters of all cameras and `extras` made one over the border: what is shared, summed."""
+        net = self.network
+        if not net.sharing:
+            return a
+        out = np.zeros((net.sizes[1], *np.moveaxis(a, axis, 0).shape[1:]))
+        np.add.at(out, self._columns, np.moveaxis(a, axis, 0))
+        return np.ascontiguousarray(np.moveaxis(out, 0, axis))
+
+    @cached_property
+    def _columns(self) -> np.ndarray:
+        """(raw,) place in the border of every freed parameter of every camera and of `extras`."""
+        net = self.network
+        return np.concatenate([net.tie, net.freed + np.arange(net.extras.count)])
 
     def _of(self, ten: np.ndarray) -> np.ndarray:
         """(f, ...) of the border, from (cameras, 10, ...)."""
         out = np.zeros((self.network.sizes[1], *ten.shape[2:]))
-        out[:len(self._owner)] = ten[self._owner, self.network.which]
+        np.add.at(out, self.network.tie, ten[self._owner, self.network.which])
         return out
 
     def _ten(self, shared: np.ndarray) -> np.ndarray:
         """(cameras, r, 10) from the border's (f, r): nothing where a parameter is not freed."""
         out = np.zeros((len(self.network.count), shared.shape[1], 10))
-        out[self._owner, :, self.network.which] = shared[:len(self._owner)]
+        out[self._owner, :, self.network.which] = shared[self.network.tie]
         return out
 
     def reduce(self, made: Gathered, damping: float) -> Reduced:
         """The points eliminated, all diagonals raised by the damping."""
         net, t, p = self.network, self.threads, self.pattern
         m, f, live = net.sizes
-        parts = [np.zeros((t, *shape)) for shape in ((len(p.row), 6, 6), (m, f, 6), (f, f), (m, 6), (f,))]
+        raw = len(net.border)
+        parts = [np.zeros((t, *shape)) for shape in ((len(p.row), 6, 6), (m, raw, 6), (raw, raw), (m, 6), (raw,))]
         self._each(lambda k, a, b: self._kernels.eliminate(a, b, self.longest, *made.at, made.V, made.q, damping, self.lut,
                                                            *(part[k] for part in parts)), live)
         for part in parts:
             for k in range(1, t):
                 part[0] += part[k]
         s, b, c, g, h = (part[0] for part in parts)
+        b, c, h = self._merged(b, 1), self._merged(self._merged(c, 0), 1), self._merged(h, 0)
         diagonal = self.lut[np.arange(m), np.arange(m)]
         s[diagonal] += made.U
         s[diagonal[:, None], np.arange(6), np.arange(6)] += damping * np.einsum("mii->mi", made.U)
@@ -256,7 +274,7 @@ class Compiled:
               observations: bool = True) -> tuple[np.ndarray, ...]:
         """Covariances a priori: of every pose (m, 6, 6), all freed interior parameters (f, f) and every unknown point
         (live, 3, 3); with `observations` the standardized residuals (o, 2) and the covariance (o, 2, 2) of what is computed for
-        them, over their own variances, and the covariance of every pose with the border (m, 6, f) before any inner constraints.
+        them, over their own variances, and the covariance of every pose with the border (m, 6, f).
 
         Raises numpy.linalg.LinAlgError where the network is singular.
         """
@@ -267,11 +285,11 @@ class Compiled:
         reduced = self.reduce(made, 0.0)
         q, qb, qc = reduced.inverse()
         qb = qb.reshape(m, 6, f)
-        turned = np.ascontiguousarray(np.swapaxes(qb, 1, 2))
+        turned, corner = np.ascontiguousarray(np.swapaxes(qb, 1, 2)[:, self._columns]), qc[np.ix_(self._columns, self._columns)]
         points = np.empty((live, 3, 3))
         o = len(net.image) if observations else 0
         computed, residual = np.empty((o, 2, 2)), np.empty((o, 2))
-        self._each(lambda _, a, b: self._kernels.judge(a, b, live, self.longest, *made.at, made.V, self.lut, q, turned, qc,
+        self._each(lambda _, a, b: self._kernels.judge(a, b, live, self.longest, *made.at, made.V, self.lut, q, turned, corner,
                                                        points, computed, residual))
         if not np.isfinite(points).all():
             raise np.linalg.LinAlgError("a point is not determined by its rays")
@@ -283,13 +301,13 @@ class Compiled:
             mixed = j @ poses[i] + border @ np.swapaxes(qb[i], 1, 2)
             computed[rows] = mixed @ np.swapaxes(j, 1, 2) + t @ np.swapaxes(border, 1, 2)
         if inner:
-            poses, points, qc = self._transformed(x, inner, made, reduced, poses, points, qc)
+            poses, points, qc, qb = self._transformed(x, inner, made, reduced, (poses, points, qc, qb))
         return poses, qc, points, residual, computed, qb
 
-    def _transformed(self, x: np.ndarray, inner: Inner, made: Gathered, reduced: Reduced, poses: np.ndarray, points: np.ndarray,
-                     qc: np.ndarray) -> tuple[np.ndarray, ...]:
+    def _transformed(self, x: np.ndarray, inner: Inner, made: Gathered, reduced: Reduced,
+                     covariances: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
         """Covariances under the inner constraints from those of the minimal datum (S-transformation)."""
-        net = self.network
+        net, (poses, points, qc, cross) = self.network, covariances
         m, f, live = net.sizes
         motion = motions(net, x)
         h = inner.rows_of(net, motion)
@@ -312,7 +330,9 @@ class Compiled:
                                    (qc[None], (small @ shared.T)[None], motion[None, 6 * m:6 * m + f])):
             part = way @ d
             out.append(covariance - part - np.swapaxes(part, 1, 2) + way @ centre @ np.swapaxes(way, 1, 2))
-        return out[0], out[1], out[2][0]
+        way, shift, along = motion[:6 * m].reshape(m, 6, k7), motion[6 * m:6 * m + f].T, small @ shared.T
+        cross = cross - way @ along - np.swapaxes(drift, 1, 2) @ shift + way @ centre @ shift
+        return out[0], out[1], out[2][0], cross
 
     def weakest(self, x: np.ndarray, priors: tuple[np.ndarray, np.ndarray], inner: Inner | None, null: float) -> list[np.ndarray]:
         """(u,) null vectors of the scaled normal matrix, by inverse iteration on a slightly damped one; none where

@@ -32,7 +32,8 @@ class BundleRequest:
     least squares. start: how to begin: "auto" (resection, then over tie points, then priors, then a relative orientation),
     or only "resection", "dlt" or "affine" (the linear models over control), "prior" or "relative", or "given" (the images'
     priors and all coordinates of points as they are). compiled: None lets the size decide.
-    per_image: free parameters of every image by itself, as "camera@image", instead of one set for each camera.
+    per_image: free parameters of every image by itself, as "camera@image", instead of one set for each camera; or the names of
+    those that are, while the other free ones stay one set (c invariant, xp and yp of every image).
     rolling_shutter: "translation" lets every image move while it is read, "rotation" turn as well (cameras with readout_ms).
     model: "orthogonal" is Ono & Hattori's, for long focal lengths; its transform is "iterated" (rays made parallel anew in every
     iteration) or "frozen" (kept as the start values make them).
@@ -44,7 +45,7 @@ class BundleRequest:
     start: Begin = "auto"
     images: tuple[str, ...] | None = None
     compiled: bool | None = None
-    per_image: bool = False
+    per_image: bool | tuple[str, ...] = False
     model: Literal["perspective", "orthogonal"] = "perspective"
     transform: Literal["iterated", "frozen"] = "iterated"
     rolling_shutter: Literal["none", "translation", "rotation"] = "none"
@@ -78,9 +79,12 @@ class Given:
 def given(block: Block, request: BundleRequest) -> Given:
     """Raises BadProject for names that are unknown, points measured twice in one image and missing priors."""
     free = request.free if isinstance(request.free, dict) else {"": request.free}
-    for name in (n for names in free.values() for n in names):
+    apart = () if isinstance(request.per_image, bool) else request.per_image
+    for name in (n for names in (*free.values(), apart) for n in names):
         if name not in PARAMETERS:
             raise BadProject(f"'{name}' is not an interior orientation parameter; choose from {', '.join(PARAMETERS)}")
+    if missing := [n for n in apart if not any(n in names for names in free.values())]:
+        raise BadProject(f"{', '.join(missing)} of every image cannot be adjusted without being free; name it in --free too")
     frame = _frame(block)
     of, roles = block.observations, np.array(block.points.role, dtype=str)
     keep = np.isfinite(of.pixel).all(axis=1)
@@ -175,11 +179,11 @@ def network(data: Given, poses: dict[int, Exterior], xyz: np.ndarray) -> tuple[N
     place = np.full(len(block.points), -1)
     place[points] = np.arange(len(points))
     order = np.lexsort((image, place[point]))
-    own = {i: f"@{block.images[i].name}" if request.per_image else "" for i in images}
-    lens = {i: block.images[i].camera + own[i] for i in images}
+    lens = {i: block.images[i].camera + (f"@{block.images[i].name}" if request.per_image else "") for i in images}
     names = list(dict.fromkeys(lens.values()))
     of = {lens[i]: block.images[i].camera for i in images}
     free = {n: request.free.get(of[n], ()) if isinstance(request.free, dict) else request.free for n in names}
+    own = PARAMETERS if isinstance(request.per_image, bool) else request.per_image
     live, unknown = int((~fixed & ~held)[points].sum()), int((~fixed[points]).sum())
     weight = np.minimum(data.weight[points], 1e12)
     weight[unknown:] = 0.0
@@ -194,7 +198,7 @@ def network(data: Given, poses: dict[int, Exterior], xyz: np.ndarray) -> tuple[N
         sigma=data.sigma[ok][order],
         free=tuple(tuple(p for p in PARAMETERS if p in free.get(n, ())) for n in names), known=data.known[points], weight=weight,
         live=live, priors=tuple(data.priors.get(i) for i in images), loss=request.loss,
-        extras=_extras(data, images, place, unknown - live, bars, together))
+        extras=_extras(data, images, place, unknown - live, bars, together), base=tuple(of[n] for n in names), own=own)
     start = xyz[points].copy()
     start[unknown:] = data.known[points][unknown:]
     x = net.pack(np.array([poses[i].vector for i in images]), np.array([c.parameters for c in net.interiors]), start)

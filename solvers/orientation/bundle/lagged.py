@@ -171,7 +171,7 @@ class Lagged:
             seen, moved = lagged_derivatives(net, x, i, rows, interiors[camera])
             v[rows] = net.pixels[rows] - seen.pixels
             free = int(net.first[camera]) + np.arange(int(net.count[camera]))
-            own = [6 * i + np.arange(6), 6 * m + free, 6 * m + f - net.extras.motions + k * i + np.arange(k)]
+            own = [6 * i + np.arange(6), 6 * m + net.tie[free], 6 * m + f - net.extras.motions + k * i + np.arange(k)]
             columns.append(np.hstack([np.tile(np.concatenate(own), (len(rows), 1)), net.point_columns[net.point[rows]]]))
             parts = [seen.centre, seen.rotation, seen.interior[:, :, net.which[free]], moved, seen.point]
             values.append(np.concatenate(parts, axis=2))

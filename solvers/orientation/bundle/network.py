@@ -20,7 +20,8 @@ class Network:
     camera (m,): of each image. interiors: as given. free: interior parameters adjusted, for each camera. image, point (o,);
     pixels (o, 2); sigma (o,) px. known (n, 3) m: given coordinates of weighted and fixed points, NaN where free. weight (n, 3)
     m^-2, 0 where free. live: points below it are unknowns, those from it on are fixed (behind those held in the border, see
-    `Extras`). priors: one for each image, or None. loss: of the image observations, None for least squares.
+    `Extras`). priors: one for each image, or None. loss: of the image observations, None for least squares. base: the camera
+    behind each one of `cameras`, itself where not given; those of one base share all freed parameters that are not among `own`.
     """
 
     images: tuple[str, ...]
@@ -39,15 +40,42 @@ class Network:
     priors: tuple[PriorOrientation | None, ...]
     loss: str | None = None
     extras: Extras = field(default_factory=Extras)
+    base: tuple[str, ...] = ()
+    own: tuple[str, ...] = PARAMETERS
 
     @property
     def sizes(self) -> tuple[int, int, int]:
         """Numbers of images, of unknowns in the border (freed interior parameters, then `extras`) and of unknown points."""
-        return len(self.images), len(self.which) + self.extras.count, self.live
+        return len(self.images), self.freed + self.extras.count, self.live
+
+    @cached_property
+    def labels(self) -> tuple[tuple[str, str], ...]:
+        """Camera and parameter of every unknown of the interior orientation; the base's name where cameras share it."""
+        base = self.base or self.cameras
+        of = zip(self.cameras, base, self.free, strict=True)
+        return tuple(dict.fromkeys((c if p in self.own else b, p) for c, b, free in of for p in free))
+
+    @cached_property
+    def tie(self) -> np.ndarray:
+        """(len(which),) which unknown every freed parameter of every camera is: shared ones are the same."""
+        at = {label: k for k, label in enumerate(self.labels)}
+        base = self.base or self.cameras
+        return np.array([at[c if p in self.own else b, p] for c, b, free in zip(self.cameras, base, self.free, strict=True)
+                         for p in free], np.int64)
+
+    @property
+    def freed(self) -> int:
+        """Unknowns of the interior orientations."""
+        return len(self.labels)
+
+    @property
+    def sharing(self) -> bool:
+        """Whether cameras share parameters."""
+        return len(self.labels) < len(self.which)
 
     @cached_property
     def border(self) -> np.ndarray:
-        """(f,) `which`, filled up: the kernels leave the rest of the border alone."""
+        """(raw,) `which`, filled up: the kernels leave the rest of the border alone."""
         return np.concatenate([self.which, np.zeros(self.extras.count, np.int64)])
 
     @property
@@ -61,12 +89,12 @@ class Network:
         m, f, live = self.sizes
         out = np.full((len(self.points), 3), -1)
         out[:live] = 6 * m + f + np.arange(3 * live).reshape(-1, 3)
-        out[live:self.unknown] = 6 * m + len(self.which) + np.arange(3 * self.extras.held).reshape(-1, 3)
+        out[live:self.unknown] = 6 * m + self.freed + np.arange(3 * self.extras.held).reshape(-1, 3)
         return out
 
     @cached_property
     def which(self) -> np.ndarray:
-        """(f,) position among `PARAMETERS` of every freed parameter, camera after camera."""
+        """(raw,) position among `PARAMETERS` of every freed parameter, camera after camera."""
         return np.array([PARAMETERS.index(name) for names in self.free for name in names], np.int64)
 
     @cached_property
@@ -98,7 +126,7 @@ class Network:
     @cached_property
     def shift_columns(self) -> list[np.ndarray | None]:
         """For each image the three places in the border of its strip's shift, None where it has none."""
-        of, first = self.extras.shift_of, len(self.which) + 3 * self.extras.held
+        of, first = self.extras.shift_of, self.freed + 3 * self.extras.held
         if of is None:
             return [None] * len(self.images)
         return [None if s < 0 else first + 3 * int(s) + np.arange(3) for s in of]
@@ -138,7 +166,7 @@ class Network:
 
     def border_rows(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(r,) misclosures and (r, f) derivatives of what touches the border only, in standard deviations."""
-        return border_rows(self.extras, self.split(x)[2], self.known, self.weight, self.shifts_at(x), self.live, len(self.which),
+        return border_rows(self.extras, self.split(x)[2], self.known, self.weight, self.shifts_at(x), self.live, self.freed,
                            self.motion_at(x))
 
     def interiors_at(self, x: np.ndarray) -> tuple[Interior, ...]:

@@ -205,7 +205,7 @@ class OrthogonalBundle(Bundle):
                 block[unknown, :, at + c] += s * mat[:2, c]
             camera = net.camera[i]
             if net.count[camera]:
-                block[:, :, 6 * m + net.first[camera]] = -(self.frozen.by_c[rows] if self.frozen else p.by_c)
+                block[:, :, 6 * m + net.tie[net.first[camera]]] = -(self.frozen.by_c[rows] if self.frozen else p.by_c)
             k, by_pixel = (self.frozen.k[rows], self.frozen.by_pixel[rows]) if self.frozen else (p.k, p.by_pixel)
             g[rows] = np.linalg.solve(k[:, None, None] * by_pixel, block)
         return g
@@ -239,7 +239,7 @@ class OrthogonalBundle(Bundle):
         m, j = len(net.images), j.copy()
         for i, p in enumerate(self.parallel(x)):
             if net.count[net.camera[i]]:
-                j[..., 6 * m + net.first[net.camera[i]]] += j[..., 6 * i:6 * i + 3] @ (p.exterior.m[2] / p.scale)
+                j[..., 6 * m + net.tie[net.first[net.camera[i]]]] += j[..., 6 * i:6 * i + 3] @ (p.exterior.m[2] / p.scale)
         return j
 
     def retract(self, x: np.ndarray, dx: np.ndarray) -> np.ndarray:
@@ -249,10 +249,11 @@ class OrthogonalBundle(Bundle):
             c, images = net.split(x)[1][:, 0], self.parallel(x)
             for camera, (first, count) in enumerate(zip(net.first, net.count, strict=True)):
                 if count:  # a principal distance stays positive
-                    dx[6 * m + first] = max(dx[6 * m + first], -0.9 * float(c[camera]))
+                    at = 6 * m + net.tie[first]
+                    dx[at] = max(dx[at], -0.9 * float(c[camera]))
             for i, p in enumerate(images):
                 if net.count[net.camera[i]]:  # M, s and t are held while c changes: the camera backs off along its axis
-                    dx[6 * i:6 * i + 3] += p.exterior.m[2] / p.scale * dx[6 * m + net.first[net.camera[i]]]
+                    dx[6 * i:6 * i + 3] += p.exterior.m[2] / p.scale * dx[6 * m + net.tie[net.first[net.camera[i]]]]
         return super().retract(x, dx)
 
 

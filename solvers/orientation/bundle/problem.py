@@ -85,8 +85,7 @@ class Bundle:
         step = dx[:6 * m].reshape(m, 6)
         poses[:, :3] += step[:, :3]
         poses[:, 3:] = (exp_many(step[:, 3:]) @ poses[:, 3:].reshape(m, 3, 3)).reshape(m, 9)
-        free = len(net.which)
-        interiors[np.repeat(np.arange(len(net.cameras)), net.count), net.which] += dx[6 * m:6 * m + free]
+        interiors[np.repeat(np.arange(len(net.cameras)), net.count), net.which] += dx[6 * m + net.tie]
         points[:net.unknown] += dx[net.point_columns[:net.unknown]]
         last = 6 * m + f - net.extras.motions
         shifts = net.shifts_at(x) + dx[last - 3 * len(net.extras.shifts):last].reshape(-1, 3)
@@ -141,7 +140,7 @@ class Bundle:
             v[rows] = net.pixels[rows] - at.pixels
             j[rows, :, 6 * i:6 * i + 3], j[rows, :, 6 * i + 3:6 * i + 6] = at.centre, at.rotation
             k = slice(net.first[camera], net.first[camera] + net.count[camera])
-            j[rows, :, 6 * m + k.start:6 * m + k.stop] = at.interior[:, :, net.which[k]]
+            j[rows[:, None, None], np.arange(2)[:, None], 6 * m + net.tie[k]] = at.interior[:, :, net.which[k]]
             unknown = of < net.unknown
             for c in range(3):
                 j[rows[unknown], :, net.point_columns[of[unknown], c]] = at.point[unknown, :, c]

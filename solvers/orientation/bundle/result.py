@@ -13,12 +13,17 @@ from ...adjustment.precision import BAARDA_DELTA0
 from ...adjustment.reliability import ChiSquare, chi_square, correlation
 from ...cameras import PARAMETERS, Interior
 from ...geometry import Exterior
+from ...geometry.rotation import angle_derivatives
 from ..result import Orientation
 from ..words import bad_fit, undetermined
 from .given import Given, velocity_of
 from .problem import Bundle
 from .statistics import Statistics
 
+ELLIPSOID_95 = 2.7954834829151074
+"""Square root of the 95 % quantile of chi-square with 3 degrees of freedom."""
+MOST = 20_000
+"""Points up to which the JSON has the covariance of every one; of larger blocks they are in covariance.npz of the run."""
 MATTERS = 0.5
 """Pixels that a camera moves on the ground while it reads a photo from which its rolling shutter is told."""
 CONTRADICTED = 3.0
@@ -30,7 +35,8 @@ SUSPECT = 4.0
 @dataclass(frozen=True)
 class AdjustedPoint:
     """An object point. xyz (3,): project coordinates [m]; covariance (3, 3) m^2 in local axes, a priori; off (3,): adjusted minus
-    given, local axes, NaN where nothing is given; rays: images that see it; w (3,): standardized corrections of control."""
+    given, local axes, NaN where nothing is given; rays: images that see it; w (3,): standardized corrections of control;
+    drawn: its covariance and ellipsoid go into the JSON (of tie points of very large blocks they do not)."""
 
     name: str
     role: str
@@ -39,6 +45,7 @@ class AdjustedPoint:
     off: np.ndarray
     rays: int
     w: np.ndarray
+    drawn: bool = True
 
     def to_json(self) -> dict[str, Any]:
         sigma = np.sqrt(np.diag(self.covariance))
@@ -46,16 +53,25 @@ class AdjustedPoint:
                 **dict(zip(("sX", "sY", "sZ"), map(float, sigma), strict=True)), "role": self.role,
                 **dict(zip(("dX", "dY", "dZ"), map(_finite, self.off), strict=True)), "rays": self.rays,
                 "w": [_finite(v) for v in self.w],
-                **({} if self.role == "tie" else {"covariance": self.covariance.tolist()})}
+                **({"covariance": self.covariance.tolist(), "ellipsoid": self.ellipsoid()} if self.drawn else {})}
+
+    def ellipsoid(self) -> dict[str, Any]:
+        """The 95 % error ellipsoid a priori, chi-square with 3 degrees of freedom: half axes [m], the longest first, and
+        their directions (rows, local axes)."""
+        values, vectors = np.linalg.eigh(self.covariance)
+        return {"half_axes_m": (ELLIPSOID_95 * np.sqrt(np.maximum(values[::-1], 0.0))).tolist(),
+                "directions": vectors.T[::-1].tolist(), "factor": ELLIPSOID_95}
 
 
 @dataclass(frozen=True)
 class Adjusted:
     """An adjusted block. interiors: by camera; interior_names and interior_covariance (f, f): of the freed parameters, camera
-    after camera; control_rms, check_rms (3,) m: None without such points; groups: sigma0 and redundancy of image observations,
-    control, priors and others apart; suspects: observations with |w| > 4, the worst first; shifts: of the GPS positions of every
+    after camera, under the camera's name alone what its images share; control_rms, check_rms (3,) m: None without such points;
+    groups: sigma0 and redundancy of every kind of observation: image coordinates of tie points and of control points, control,
+    GPS, IMU and others apart; suspects: observations with |w| > 4, the worst first; shifts: of the GPS positions of every
     strip (3,) m, local axes, with covariance (3, 3); motions: of every image while it was read (3 or 6,), m/s local
-    axes and rad/s photo axes, with covariance."""
+    axes and rad/s photo axes, with covariance; joint (6, f), by image: covariance of X, Y, Z, omega, phi, kappa with what
+    was freed of its camera, in the order of `interior_rows`."""
 
     orientations: tuple[Orientation, ...]
     interiors: Mapping[str, Interior]
@@ -75,20 +91,47 @@ class Adjusted:
     warnings: tuple[str, ...]
     shifts: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
     motions: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+    joint: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def interior_sigma(self) -> dict[str, dict[str, float]]:
         """Standard errors, a priori, of the freed parameters by camera."""
         out: dict[str, dict[str, float]] = {name: {} for name in self.interiors}
-        for (camera, parameter), s in zip(self.interior_names, np.sqrt(np.diag(self.interior_covariance)), strict=True):
-            out[camera][parameter] = float(s)
+        for k, (camera, parameter) in enumerate(self.interior_names):
+            s = float(np.sqrt(self.interior_covariance[k, k]))
+            for name in self.interiors if camera not in self.interiors else (camera,):
+                if name == camera or name.startswith(f"{camera}@"):  # one camera for many images
+                    out[name][parameter] = s
         return out
+
+    def _with_interior(self, index: int, image: str) -> dict[str, Any]:
+        if image not in self.joint:
+            return {}
+        camera = self.trace.manifest["cameras"][self.trace.manifest["camera_of"][index]]
+        names = [_key(self.interior_names[k][1]) for k in self.interior_rows(camera)]
+        return {"interior_covariance": {"parameters": names, "matrix": self.joint[image].tolist()}}
+
+    def covariances(self) -> dict[str, np.ndarray]:
+        """All covariances a priori as arrays: of the images' X, Y, Z, omega, phi, kappa (m, 6, 6), of the points (n, 3, 3), of
+        the freed interior parameters (f, f) and of each image with those of its camera (m, 6, f), with their names."""
+        out = {"image": np.array([o.image for o in self.orientations]), "point": np.array([p.name for p in self.points]),
+               "exterior": np.array([o.covariance for o in self.orientations]),
+               "points": np.array([p.covariance for p in self.points]), "interior": self.interior_covariance,
+               "interior_parameter": np.array([f"{c}.{_key(p)}" for c, p in self.interior_names])}
+        joint = [self.joint[o.image] for o in self.orientations if o.image in self.joint]
+        if joint and len({j.shape for j in joint}) == 1:
+            out["exterior_interior"] = np.array(joint)
+        return out
+
+    def interior_rows(self, camera: str) -> list[int]:
+        """Places in `interior_names` of what was freed of one camera, shared with others or not."""
+        return [k for k, (name, _) in enumerate(self.interior_names) if camera == name or camera.startswith(f"{name}@")]
 
     def to_json(self) -> dict[str, Any]:
         """The JSON of the commands adjust and calibrate."""
         sigma = self.interior_sigma
         return {
-            "orientations": [o.to_json() for o in self.orientations],
+            "orientations": [{**o.to_json(), **self._with_interior(k, o.image)} for k, o in enumerate(self.orientations)],
             "interior": {name: {**{_key(p): float(getattr(camera, p)) for p in PARAMETERS},
                                 "sigma": {_key(p): s for p, s in sigma[name].items()}} for name,
                          camera in self.interiors.items()},
@@ -125,7 +168,7 @@ def described(data: Given, problem: Bundle, trace: Trace, stats: Statistics, sai
         shown = ", ".join(net.points[n] for n in stats.loose[:6]) + (" ..." if len(stats.loose) > 6 else "")
         warnings.append(f"the rays to {len(stats.loose)} point(s) are parallel and leave the depth open: {shown}; their standard "
                         "errors are lower bounds")
-    names = tuple((c, p) for c, free in zip(net.cameras, net.free, strict=True) for p in free)
+    names = net.labels
     warnings += _correlated(names, stats.interior)
     suspects = _suspects(problem, v, stats, points)
     if suspects:
@@ -141,7 +184,23 @@ def described(data: Given, problem: Bundle, trace: Trace, stats: Statistics, sai
         interior_names=names, interior_covariance=stats.interior, points=points, sigma0=sigma0, dof=problem.dof,
         rms_px=float(np.sqrt((v**2).sum() / len(v))), cost=trace.last.cost, control_rms=_rms(control), check_rms=_rms(check),
         groups=groups, suspects=tuple(suspects), chi_square=chi_square(trace.last.cost, problem.dof),
-        trace=trace, warnings=tuple(warnings), shifts=_shifts(problem, x, stats), motions=_motions(problem, x, stats))
+        trace=trace, warnings=tuple(warnings), shifts=_shifts(problem, x, stats), motions=_motions(problem, x, stats),
+        joint=_joint(problem, x, stats))
+
+
+def _joint(problem: Bundle, x: np.ndarray, stats: Statistics) -> dict[str, np.ndarray]:
+    """Covariance of every image's exterior orientation with the freed interior parameters of its camera."""
+    net = problem.network
+    if not net.freed or len(stats.cross) != len(net.images):
+        return {}
+    poses, out = net.split(x)[0], {}
+    for i, name in enumerate(net.images):
+        first = net.first[net.camera[i]]
+        own = net.tie[first:first + net.count[net.camera[i]]]
+        to_angles = np.eye(6)
+        to_angles[3:, 3:] = angle_derivatives(poses[i, 3:].reshape(3, 3))
+        out[name] = to_angles @ stats.cross[i][:, np.sort(own)]
+    return out
 
 
 def _orientations(data: Given, problem: Bundle, trace: Trace, stats: Statistics, v: np.ndarray,
@@ -190,13 +249,18 @@ def _points(data: Given, problem: Bundle, x: np.ndarray, stats: Statistics) -> t
     w[:n] = -off[:n] / np.sqrt(np.where(free > 1e-9 * given_sigma**2, free, np.nan))
     covariance = np.zeros((len(local), 3, 3))
     covariance[:n] = stats.points
-    return tuple(AdjustedPoint(n, roles[k], xyz[k], covariance[k], off[k], int(rays[k]), w[k]) for k, n in enumerate(net.points))
+    few = len(net.points) <= MOST
+    return tuple(AdjustedPoint(n, roles[k], xyz[k], covariance[k], off[k], int(rays[k]), w[k], few or roles[k] != "tie")
+                 for k, n in enumerate(net.points))
 
 
 def _groups(problem: Bundle, x: np.ndarray, stats: Statistics, v: np.ndarray) -> dict[str, tuple[float | None, float]]:
     """sigma0 and redundancy of each kind of observation (the simplest estimate of variance components: Förstner 1979)."""
     net = problem.network
-    sums = {"image": (float((stats.factor[:, None] * v**2 / net.sigma[:, None] ** 2).sum()), float(stats.redundancy.sum()))}
+    of_control = np.isfinite(net.known).any(axis=1)[net.point]
+    square, r = (stats.factor[:, None] * v**2 / net.sigma[:, None] ** 2).sum(axis=1), stats.redundancy.sum(axis=1)
+    sums = {name: (float(square[rows].sum()), float(r[rows].sum()))
+            for name, rows in (("tie image", ~of_control), ("control image", of_control)) if rows.any()}
     weight = net.weight[:net.unknown]
     if (weight > 0).any():
         r = 1 - weight * np.einsum("nii->ni", stats.points)
@@ -208,18 +272,23 @@ def _groups(problem: Bundle, x: np.ndarray, stats: Statistics, v: np.ndarray) ->
         sums[name] = (before[0] + float((v**2).sum()), before[1] + len(v) - float(np.einsum("ri,ij,rj->", d, stats.border, d)))
     images, (misclosure, d) = net.prior_arrays[0], problem.prior_rows(x)
     if len(images):
-        held = np.einsum("aij,ajk,aik->", d, stats.poses[images], d)
+        held = np.einsum("aij,ajk,aik->ai", d, stats.poses[images], d)
         for row, i in enumerate(images):
             if (at := net.shift_columns[i]) is not None:
                 shift, cross = d[row, :, :3], stats.cross[i][:, at]
-                held += 2 * np.trace(d[row] @ cross @ shift.T) + np.trace(shift @ stats.border[np.ix_(at, at)] @ shift.T)
-        sums["prior"] = (float((misclosure**2).sum()), float(sum(p.count for p in net.priors if p) - held))
+                held[row] += np.diag(2 * d[row] @ cross @ shift.T + shift @ stats.border[np.ix_(at, at)] @ shift.T)
+        roots = net.prior_arrays[2]
+        known = np.abs(roots).sum(axis=2) > 0
+        apart = not roots[:, :3, 3:].any()  # else positions and angles are known together
+        for name, rows in (("GPS", slice(0, 3)), ("IMU", slice(3, 6))) if apart else (("GPS/IMU", slice(0, 6)),):
+            if known[:, rows].any():
+                sums[name] = (float((misclosure[:, rows] ** 2).sum()), float((known - held)[:, rows].sum()))
     return {k: (float(np.sqrt(s / r)) if r > 0.5 else None, r) for k, (s, r) in sums.items()}
 
 
 def _shifts(problem: Bundle, x: np.ndarray, stats: Statistics) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     net = problem.network
-    first, values = len(net.which) + 3 * net.extras.held, net.shifts_at(x)
+    first, values = net.freed + 3 * net.extras.held, net.shifts_at(x)
     rows = [slice(first + 3 * k, first + 3 * k + 3) for k in range(len(net.extras.shifts))]
     return {name: (values[k], stats.border[rows[k], rows[k]]) for k, name in enumerate(net.extras.shifts)}
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from ...adjustment import precision
 from ...adjustment.precision import BAARDA_DELTA0
-from ...cameras import PARAMETERS
 from ...errors import DegenerateGeometry
 from .datum import SEVEN, motions
 from .network import Network
@@ -42,7 +41,7 @@ class Statistics:
     def of(cls, net: Network, poses: np.ndarray, border: np.ndarray, points: np.ndarray, cross: np.ndarray,
            **judged: Any) -> Statistics:
         """The border taken apart: interior orientation, and points that were held in it, behind those that were not."""
-        free, held = len(net.which), net.extras.held
+        free, held = net.freed, net.extras.held
         own = border[free:free + 3 * held, free:free + 3 * held].reshape(held, 3, held, 3)
         points = np.concatenate([points, own[np.arange(held), :, np.arange(held), :]])
         return cls(poses, border[:free, :free], points, border=border, cross=cross, **judged)
@@ -161,8 +160,7 @@ def _named(problem: Bundle, vector: np.ndarray) -> str:
     """The unknowns that make up most of a null vector (scaled parameters)."""
     net = problem.network
     m, f, _ = net.sizes
-    names = [f"{PARAMETERS[w]} of camera '{c}'" for c, free in zip(net.cameras, net.free, strict=True)
-             for w in map(PARAMETERS.index, free)]
+    names = [f"{p} of camera '{c}'" for c, p in net.labels]
     share = np.abs(vector) / np.abs(vector).max()
     said: list[str] = []
     for k in np.argsort(-share, kind="stable"):
