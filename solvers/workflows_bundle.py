@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -95,17 +96,24 @@ def adjust_project(folder: Path | str, command: str = "adjust", recorder: Bundle
         done = leave_run(folder, command, block, adjust_block(block, watch=rows, begun=begun, **options), recorder, run)
     except KeyboardInterrupt as stopped:
         if rows.last is None:
-            shutil.rmtree(run, ignore_errors=True)
+            _dropped(run)
             raise
         if isinstance(stopped, Stopped):
             save_trace(stopped.trace, run)
         return StoppedRun(run, rows.last)
     except BaseException:
-        shutil.rmtree(run, ignore_errors=True)
+        _dropped(run)
         raise
     finally:
         rows.close()
     return done
+
+
+def _dropped(run: Path) -> None:
+    """Leave nothing of a run, nor a folder of runs that it would have been the first in."""
+    shutil.rmtree(run, ignore_errors=True)
+    with suppress(OSError):
+        run.parent.rmdir()
 
 
 class Rows(Watch):
@@ -128,9 +136,9 @@ class Rows(Watch):
     def row(self, row: Iteration) -> None:
         if self._writer is not None:
             self._writer.add(row)
+            self.last = row
         if self._recording is not None:
             self._recording.row(row)
-        self.last = row
 
     def _end(self) -> None:
         for part in (self._writer, self._recording):

@@ -10,9 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from solvers import BadProject, Trace
+from solvers.adjustment import LARGE, Iteration, thin
 from solvers.cli import main
-from solvers.io import demo_assets, load_trace, read_truth, write_project
+from solvers.io import RowReader, RowWriter, demo_assets, load_trace, read_truth, save_trace, write_project
 from solvers.simulation import calibration_plate
+from solvers.workflows_bundle import AdjustedProject, StoppedRun, adjust_project
 
 
 @pytest.fixture
@@ -76,3 +79,71 @@ def test_refusals(demo: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "no image has a prior" in refused(capsys, "adjust", demo, "--datum", "prior")
     assert "which project" in refused(capsys, "adjust")
     assert not (demo / "runs").exists()
+
+
+class StopsAt:
+    """A recording during which somebody presses Ctrl+C."""
+
+    def __init__(self, at: int) -> None:
+        self.at = at
+
+    def __call__(self, *_: object) -> StopsAt:
+        return self
+
+    def row(self, row: Iteration) -> None:
+        if row.index == self.at:
+            raise KeyboardInterrupt
+
+    def close(self) -> None:
+        pass
+
+
+def test_an_adjustment_is_stopped_and_continued_from_any_row(demo: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = {"free": ("c",), "datum": "free"}
+    whole = adjust_project(demo, **options)
+    stopped = adjust_project(demo, live=StopsAt(2), **options)
+    assert isinstance(whole, AdjustedProject) and isinstance(stopped, StoppedRun) and stopped.last.index == 2
+    assert not (stopped.run / "running").exists() and not (stopped.run / "result.json").exists()
+    kept = RowReader(stopped.run)
+    assert len(kept) == 3
+    for row, wanted in zip(kept.rows(), whole.result.trace.rows, strict=False):
+        np.testing.assert_allclose(row.x, wanted.x, rtol=0, atol=1e-6)
+        assert (row.index, row.cost, row.trials) == (wanted.index, wanted.cost, wanted.trials)
+    for further in (stopped.run.name, f"{stopped.run.name}:1", str(stopped.run), f"{whole.run.name}:0" if whole.run else ""):
+        done = run(capsys, "adjust", demo, "--continue", further)
+        assert done["cost"] == pytest.approx(whole.result.cost, rel=1e-9) and done["dof"] == whole.result.dof
+        assert done["points"][0]["X"] == pytest.approx(whole.result.to_json()["points"][0]["X"], abs=1e-5)
+    assert "there is no row 9" in refused(capsys, "adjust", demo, "--continue", f"{stopped.run.name}:9")
+    assert "no run elsewhere" in refused(capsys, "adjust", demo, "--continue", "elsewhere")
+    text = (demo / "points.csv").read_text().splitlines()
+    (demo / "points.csv").write_text("\n".join(line for line in text if not line.startswith("C03,")) + "\n")
+    rows = [line for line in (demo / "observations.csv").read_text().splitlines() if ",C03," not in line]
+    (demo / "observations.csv").write_text("\n".join(rows) + "\n")
+    assert "'C03' of the run is not in the project any more" in refused(capsys, "adjust", demo, "--continue", stopped.run.name)
+
+
+def test_large_traces_are_kept_thin(tmp_path: Path) -> None:
+    """Rows of a large block are read back to a ten-millionth of what each point moved; a record cut off is not there."""
+    rng = np.random.default_rng(3)
+    head, size = 24, LARGE + 24
+    first = rng.normal(0, 500, size)
+    xs = [first, first + rng.normal(0, 2, size), first + rng.normal(0, 2, size)]
+    rows = [Iteration(k, x, 10.0 - k, 1.0, 0.5, 0.1, 1e-4, 1, "step" if k == 2 else None) for k, x in enumerate(xs)]
+    writer = RowWriter(tmp_path, {"problem": "bundle"}, head, size)
+    for row in rows:
+        writer.add(row)
+    writer.close()
+    trace = Trace((rows[0], thin(rows[1]), rows[2]), {"problem": "bundle"})
+    assert trace.rows[1].x.dtype == np.float32 and thin(rows[0]) is rows[0]
+    save_trace(trace, tmp_path)
+    assert not (tmp_path / "trace.npz").exists() and (tmp_path / "rows.bin").stat().st_size < 21 * size
+    back = load_trace(tmp_path)
+    assert back.last.stop == "step" and [r.index for r in back.rows] == [0, 1, 2]
+    for row, x in zip(back.rows, xs, strict=True):
+        np.testing.assert_array_equal(row.x[:head], x[:head])
+        np.testing.assert_allclose(row.x, x, rtol=0, atol=1e-6)
+    with (tmp_path / "rows.bin").open("r+b") as stream:
+        stream.truncate((tmp_path / "rows.bin").stat().st_size - 1)
+    assert len(RowReader(tmp_path)) == 2
+    with pytest.raises(BadProject, match="do not agree"):
+        load_trace(tmp_path)

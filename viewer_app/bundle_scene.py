@@ -55,7 +55,7 @@ def scene(state: State) -> Scene:
     row = room.at(state.row)
     if row is None or room.layout is None or room.block is None:
         return found
-    found |= _images(state, room, room.layout, row)
+    found |= _images(state, room, room.layout, row) | _held(state, room)
     if room.draw_points:
         found |= _points(state, room, room.layout, room.block, row)
     if room.draw_vectors:
@@ -105,6 +105,17 @@ def _met(layout: Layout, row: Iteration, depth: float, origin: np.ndarray, axis:
 
 
 # -- images -------------------------------------------------------------------------------------------------------------------
+
+
+def _held(state: State, room: Bundle) -> Scene:
+    """The images of the bundle set aside, pale."""
+    held = room.held
+    if held is None:
+        return Scene()
+    centres, matrices = held.layout.poses(held.row.x)
+    colour = pale(theme.RESIDUAL, state.view.dark)
+    value = Frusta(centres, matrices, _half(held.layout), _depth(held.layout, held.row), colour)
+    return Scene({"/bundle/held": value if len(centres) > MANY else Segments(_edges(value), colour, 1.0)})
 
 
 def _images(state: State, room: Bundle, layout: Layout, row: Iteration) -> Scene:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from .state import MODELS, Assets, State
 DATUMS = ("control", "prior", "both", "free")
 STARTS = ("auto", "resection", "dlt", "affine", "relative", "prior")
 TRANSFORMS = ("iterated", "frozen")
+SHUTTERS = ("none", "translation", "rotation")
 LEAST_SQUARES = "none"
 ROBUST = (LEAST_SQUARES, *LOSSES)
 COLOURED = ("residual", "number of rays", "none")
@@ -108,13 +110,27 @@ class Judged:
     check_rms: np.ndarray | None
     suspects: tuple[Mapping[str, Any], ...]
     warnings: tuple[str, ...]
+    joint: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """A bundle set aside, to be seen beside another: what was asked, how its rows are read, its last row and its worth."""
+
+    asked: tuple[Any, ...]
+    layout: Layout
+    row: Iteration
+    result: Judged
+    steps: int
 
 
 @dataclass(frozen=True, eq=False)
 class Bundle:
-    """What to adjust, and what came of it. task: "run", "keep" or nothing; serial: number of the run; base: row from which it
-    goes on; block: as it was adjusted. vectors, ellipsoid: exaggerations, 0 to fit; alone: drawn in place of the images oriented
-    one by one. run: where it was kept; opened: how often rerun was asked for."""
+    """What to adjust, and what came of it. per_image: of `free`, what every image has for itself; images: names or patterns of
+    those that take part, nothing for all; held: another bundle to compare with. task: "run", "keep", "follow" or nothing;
+    serial: number of the run; base: row from which it goes on; block: as it was adjusted. vectors, ellipsoid: exaggerations,
+    0 to fit; alone: drawn in place of the images oriented one by one. run: where it was kept; opened: how often rerun was asked
+    for."""
 
     model: str = MODELS[0]
     transform: str = TRANSFORMS[0]
@@ -122,6 +138,10 @@ class Bundle:
     free: tuple[str, ...] = ()
     loss: str = LEAST_SQUARES
     start: str = STARTS[0]
+    per_image: tuple[str, ...] = ()
+    images: str = ""
+    shutter: str = SHUTTERS[0]
+    held: Held | None = None
     task: str = ""
     serial: int = 0
     base: int = 0
@@ -156,29 +176,30 @@ class Bundle:
 
     @property
     def options(self) -> tuple[Any, ...]:
-        return self.model, self.transform, self.datum, self.free, self.loss, self.start
+        return (self.model, self.transform, self.datum, self.free, self.loss, self.start, self.per_image, self.images.strip(),
+                self.shutter)
 
     def at(self, row: int) -> Iteration | None:
         """The row shown at a position of the transport: the last one where the bundle has fewer."""
         return self.rows[min(max(row, 0), len(self.rows) - 1)] if self.rows else None
 
 
-CHOSEN = ("model", "transform", "datum", "free", "loss", "start", "colour", "vectors", "ellipsoid", "draw_points", "draw_vectors",
-          "draw_ellipsoids", "draw_rays", "alone")
+CHOSEN = ("model", "transform", "datum", "free", "loss", "start", "per_image", "images", "shutter", "colour", "vectors",
+          "ellipsoid", "draw_points", "draw_vectors", "draw_ellipsoids", "draw_rays", "alone")
 """What a session keeps: the choices, not what came of them."""
 
 
 def bundle_choices(room: Bundle) -> dict[str, Any]:
     """As JSON."""
-    return {name: list(room.free) if name == "free" else getattr(room, name) for name in CHOSEN}
+    return {name: list(getattr(room, name)) if name in LISTS else getattr(room, name) for name in CHOSEN}
 
 
 def bundle_of_choices(said: Mapping[str, Any]) -> Bundle:
     """Raises ValueError where a choice is none."""
     room = Bundle()
     for name in CHOSEN:
-        value = said[name]
-        if name == "free":
+        value = said.get(name, getattr(room, name))
+        if name in LISTS:
             value = tuple(p for p in PARAMETERS if p in value)
         elif not _allowed(name, value):
             raise ValueError(f"{name} {value!r}")
@@ -186,16 +207,23 @@ def bundle_of_choices(said: Mapping[str, Any]) -> Bundle:
     return room
 
 
+LISTS = ("free", "per_image")
+LONGEST = 4000
+"""Characters of names and patterns of images."""
+
+
 def _allowed(name: str, value: Any) -> bool:
+    if name == "images":
+        return isinstance(value, str) and len(value) <= LONGEST
     if name in CHOICES:
         return value in CHOICES[name]
     if name in ("vectors", "ellipsoid"):
         return isinstance(value, (int, float)) and not isinstance(value, bool) and 0 <= value <= FACTORS[-1]
-    return name in CHOSEN and name != "free" and isinstance(value, bool)
+    return name in CHOSEN and name not in LISTS and isinstance(value, bool)
 
 
 CHOICES: dict[str, tuple[str, ...]] = {"model": MODELS, "transform": TRANSFORMS, "datum": DATUMS, "loss": ROBUST, "start": STARTS,
-                                         "colour": COLOURED}
+                                         "colour": COLOURED, "shutter": SHUTTERS}
 
 
 @dataclass(frozen=True)
@@ -212,6 +240,26 @@ class FreeParameter(Action):
 
     name: str
     free: bool = True
+
+
+@dataclass(frozen=True)
+class OfEveryImage(Action):
+    """A free interior parameter is one of every image by itself, or one of the camera."""
+
+    name: str
+    own: bool = True
+
+
+@dataclass(frozen=True)
+class HoldBundle(Action):
+    """Set the bundle aside, to see the next one beside it; without `on`, put away what is held."""
+
+    on: bool = True
+
+
+@dataclass(frozen=True)
+class FollowBundle(Action):
+    """Show the rows of the project's latest run while they are made, or as they were."""
 
 
 @dataclass(frozen=True)
@@ -238,12 +286,19 @@ class BundleCame(Action):
     """Something of the run `serial`: words, how rows are read, a row, what the end is worth, or where it was kept."""
 
     serial: int
-    what: str | Layout | Iteration | Judged | Kept
+    what: str | Layout | Iteration | Judged | Kept | Ended
 
 
 @dataclass(frozen=True)
 class Kept:
     run: str
+
+
+@dataclass(frozen=True)
+class Ended:
+    """There is nothing more to come."""
+
+    said: str
 
 
 @dataclass(frozen=True)
@@ -272,9 +327,52 @@ def _free(state: State, action: FreeParameter) -> State:
     return state.with_room(replace(room, free=free)) if free != room.free else state
 
 
+@handles(OfEveryImage)
+def _of_every_image(state: State, action: OfEveryImage) -> State:
+    room = state.room(Bundle)
+    if action.name not in PARAMETERS:
+        return state
+    own = tuple(p for p in PARAMETERS if (action.own if p == action.name else p in room.per_image))
+    free = tuple(p for p in PARAMETERS if p in room.free or p in own)
+    return state.with_room(replace(room, per_image=own, free=free)) if (own, free) != (room.per_image, room.free) else state
+
+
+@handles(HoldBundle)
+def _hold(state: State, action: HoldBundle) -> State:
+    room = state.room(Bundle)
+    if not action.on:
+        return state.with_room(replace(room, held=None)) if room.held else state
+    if room.result is None or room.layout is None:
+        return state.with_room(replace(room, error="There is no finished bundle to set aside; run one first."))
+    held = Held(room.asked, room.layout, room.rows[-1], room.result, room.steps)
+    return state.with_room(replace(room, held=held, error=""))
+
+
+@handles(FollowBundle)
+def _follow(state: State, action: FollowBundle) -> State:
+    room = state.room(Bundle)
+    if room.task:
+        return state
+    if state.assets.folder is None:
+        return state.with_room(replace(room, error="This project has no folder, so no run to follow."))
+    room = replace(room, base=0, rows=(), layout=None, block=state.block, asked=(*room.options, state.work.off), opened=0,
+                   task="follow", serial=room.serial + 1, result=None, progress="Looking for a run …", error="", run="")
+    return follow(replace(state, follow=True, playing=False).with_room(room))
+
+
+def taking_part(block: Block, said: str) -> tuple[str, ...] | None:
+    """Names of the images that names or patterns (DSC0023*, separated by commas or blanks) mean, None for all."""
+    words = said.replace(",", " ").split()
+    return tuple(i.name for i in block.images if any(fnmatchcase(i.name, w) for w in words)) if words else None
+
+
 @handles(RunBundle)
 def _run(state: State, action: RunBundle) -> State:
     room = state.room(Bundle)
+    taken = taking_part(state.block, room.images)
+    if taken is not None and len(taken) < 2 and not action.on:
+        return state.with_room(replace(room, error=f"'{room.images.strip()}' means {len(taken)} image(s); a bundle takes two or "
+                                       "more."))
     if not action.on:
         room = replace(room, base=0, rows=(), layout=None, block=state.block, asked=(*room.options, state.work.off), opened=0)
     elif not room.rows:
@@ -292,7 +390,7 @@ def _stop(state: State, action: StopBundle) -> State:
     if not room.task:
         return state
     said = f"Stopped; row {room.steps} is kept, without standard errors." if room.rows else "Stopped before the first row."
-    return state.with_room(replace(room, task="", progress=said if room.task == "run" else "", then_open=False))
+    return state.with_room(replace(room, task="", progress=said if room.task != "keep" else "", then_open=False))
 
 
 @handles(KeepBundle)
@@ -319,6 +417,8 @@ def _came(state: State, action: BundleCame) -> State:
         room = replace(room, progress=what)
     elif isinstance(what, Layout):
         room = replace(room, layout=what)
+        if room.task == "follow":  # it may begin anew
+            room = replace(room, rows=(), asked=(*asked_of(what.manifest), state.work.off))
     elif isinstance(what, Iteration):
         if what.index == 0 and room.rows:
             return state  # it goes on from a row that is there already
@@ -326,6 +426,8 @@ def _came(state: State, action: BundleCame) -> State:
         room = replace(room, rows=(*room.rows, row), progress=f"Iteration {row.index}, σ0 {row.sigma0:.4g}")
     elif isinstance(what, Judged):
         room = replace(room, result=what, task="", progress="")
+    elif isinstance(what, Ended):
+        room = replace(room, task="", progress=what.said)
     else:
         room = replace(room, run=what.run, task="", progress="", opened=room.opened + room.then_open, then_open=False)
     return follow(state.with_room(room))
@@ -337,6 +439,17 @@ def _failed(state: State, action: BundleFailed) -> State:
     if action.serial != room.serial:
         return state
     return state.with_room(replace(room, task="", progress="", error=action.why, then_open=False))
+
+
+def asked_of(manifest: Mapping[str, Any]) -> tuple[Any, ...]:
+    """The choices, as `Bundle.options`, behind a run's manifest."""
+    said = manifest["request"]
+    free, own = said["free"], said["per_image"]
+    names = {n for names in free.values() for n in names} if isinstance(free, Mapping) else set(free)
+    free = tuple(p for p in PARAMETERS if p in names)
+    per_image = free if own is True else tuple(p for p in PARAMETERS if p in (own or ()))
+    return (said["model"], said["transform"], said["datum"], free, said["loss"] or LEAST_SQUARES, said["start"], per_image,
+            " ".join(said["images"] or ()), said["rolling_shutter"])
 
 
 # -- what a row says ----------------------------------------------------------------------------------------------------------

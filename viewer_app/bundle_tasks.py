@@ -8,8 +8,8 @@ from typing import Any
 from solvers import Block
 
 from .acting import Action
-from .bundle_state import LEAST_SQUARES, Bundle, BundleCame, BundleFailed
-from .bundle_work import bundle_work, keep_work
+from .bundle_state import LEAST_SQUARES, Bundle, BundleCame, BundleFailed, taking_part
+from .bundle_work import bundle_work, follow_work, keep_work
 from .kept import by_identity
 from .state import State
 from .tasks import Task
@@ -20,7 +20,7 @@ def tasks(state: State) -> tuple[Task, ...]:
     room = state.room(Bundle)
     if not room.task or room.block is None:
         return ()
-    block, options, serial = _without(room.block, room.asked[-1]), _options(room.asked), room.serial
+    block, options, serial = _without(room.block, room.asked[-1]), _options(room.asked, room.block), room.serial
 
     def came(value: Any) -> Action:
         return BundleCame(serial, value)
@@ -29,17 +29,24 @@ def tasks(state: State) -> tuple[Task, ...]:
         return BundleFailed(serial, why)
 
     if room.task == "keep" and state.assets.folder is not None:
-        arguments = (block, options, room.rows, state.assets.folder)
+        manifest = room.layout.manifest if room.layout is not None else {}
+        arguments = (block, options, room.rows, state.assets.folder, manifest)
         return (Task(("keep", serial), keep_work, arguments, came, failed, "writing the run", "bundle"),)
-    x0 = room.rows[room.base].x if room.base else None
-    wanted = block, options, state.assets.frame, x0
+    if room.task == "follow":
+        arguments = (block, state.assets.folder, state.assets.frame)
+        return (Task(("follow", serial), follow_work, arguments, came, failed, "following the run", "bundle"),)
+    begun = None
+    if room.layout is not None and len(room.rows) == room.base + 1:  # it goes on from there
+        begun = room.layout.manifest, room.rows[0].x, room.rows[-1].x
+    wanted = block, options, state.assets.frame, begun
     return (Task(("bundle", serial), bundle_work, wanted, came, failed, "the bundle", "bundle"),)
 
 
-def _options(asked: tuple[Any, ...]) -> dict[str, Any]:
-    model, transform, datum, free, loss, start, _ = asked
+def _options(asked: tuple[Any, ...], block: Block) -> dict[str, Any]:
+    model, transform, datum, free, loss, start, own, images, shutter, _ = asked
     return {"model": model, "transform": transform, "datum": datum, "free": free,
-            "loss": None if loss == LEAST_SQUARES else loss, "start": start}
+            "loss": None if loss == LEAST_SQUARES else loss, "start": start, "images": taking_part(block, images),
+            "rolling_shutter": shutter, "per_image": bool(own) if set(own) == set(free) else own}
 
 
 @by_identity(2)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from solvers import Block, DegenerateGeometry
-from solvers.adjustment import Iteration, Trace, iterate
+from solvers.adjustment import Iteration, Trace, iterate, thin
 from solvers.geometry import LocalFrame
 
-from .bundle_state import Judged, Kept, Layout, layout_of
+from .bundle_state import Ended, Judged, Kept, Layout, layout_of
 
 SILENT = "stopped"
 """The stop reason of a trace that a person ended."""
@@ -31,21 +32,25 @@ class _Last:
 LAST = _Last()
 
 
-def bundle_work(block: Block, options: dict[str, Any], frame: LocalFrame, x0: np.ndarray | None = None
+def bundle_work(block: Block, options: dict[str, Any], frame: LocalFrame,
+                begun: tuple[Mapping[str, Any], np.ndarray, np.ndarray] | None = None
                 ) -> Iterator[str | Layout | Iteration | Judged]:
-    """Words, how rows are read, every row, and what the last one is worth. options: of a `BundleRequest`; x0: begin there.
+    """Words, how rows are read, every row (thin while others follow), and what the last one is worth. options: of a
+    `BundleRequest`; begun: manifest, x of the first row and of that to go on from.
 
     Raises PhotogrammetryError.
     """
-    from solvers.orientation.bundle import BundleRequest, prepare_bundle
+    from solvers.orientation.bundle import Begun, BundleRequest, prepare_bundle
 
     try:
-        start = prepare_bundle(block, BundleRequest(**options))
+        start = prepare_bundle(block, BundleRequest(**options), begun and Begun(*begun))
         yield layout_of(start.manifest, start.problem.network.interiors, frame)
         rows: list[Iteration] = []
-        for row in iterate(start.problem, start.x0 if x0 is None else x0, start.options):
+        for row in iterate(start.problem, start.x0, start.options):
+            if rows:
+                rows[-1] = thin(rows[-1])
             rows.append(row)
-            yield row
+            yield row if row.stop else thin(row)
         yield f"{len(rows) - 1} iterations; standard errors …"
         yield _judged(start, tuple(rows), block, frame)
     except np.linalg.LinAlgError as error:
@@ -57,17 +62,85 @@ def _misfit(block: Block, error: Exception) -> DegenerateGeometry:
                               "value that is wrong by far, or take a robust loss")
 
 
-def keep_work(block: Block, options: dict[str, Any], rows: tuple[Iteration, ...], folder: Path) -> Iterator[Kept]:
+POLL = 0.2
+"""Seconds between two looks at a run that is being made."""
+
+
+def follow_work(block: Block, folder: Path, frame: LocalFrame) -> Iterator[Layout | Iteration | str | Judged | Ended]:
+    """The rows of the project's latest run, those that are there and those that come, and what its end is worth.
+
+    Raises PhotogrammetryError.
+    """
+    from solvers import BadProject
+    from solvers.io import RowReader, load_trace
+    from solvers.orientation.bundle import Begun, BundleRequest, prepare_bundle
+    from solvers.workflows_bundle import is_running, latest_with_rows, options_of
+
+    run = latest_with_rows(folder)
+    if run is None:
+        raise BadProject(f"{folder / 'runs'}: there is no run of an adjustment to follow; start collinea adjust, or Run bundle")
+    rows: list[Iteration] = []
+    first: np.ndarray | None = None
+    reader: RowReader | None = None
+    manifest: Mapping[str, Any] = {}
+    seen, more = -1, True
+    while more:
+        more = is_running(run)
+        try:
+            if (now := (run / "rows.json").stat().st_mtime_ns) != seen or reader is None:  # it has begun, perhaps anew
+                reader = RowReader(run)
+                seen, rows, first, manifest = now, [], None, reader.manifest
+                yield _layout(block, manifest, frame)
+            for k in range(len(rows), len(reader)):
+                row = reader.row(k, first)
+                first = row.x if first is None else first
+                rows.append(row if row.stop else thin(row))
+                yield rows[-1]
+        except FileNotFoundError:  # a small one that is done has its rows in its trace
+            break
+        if more:
+            yield f"Row {len(rows) - 1} of {run.name}; waiting for the next …"
+            time.sleep(POLL)
+    if (run / "trace.npz").exists():
+        trace = load_trace(run)
+        if not rows:
+            manifest = trace.manifest
+            yield _layout(block, manifest, frame)
+        yield from trace.rows[len(rows):]
+        rows = list(trace.rows)
+    if not rows or rows[-1].stop in (None, SILENT):
+        yield Ended(f"{run.name} was stopped at row {len(rows) - 1}; go on from any row.")
+        return
+    yield f"{len(rows) - 1} iterations of {run.name}; standard errors …"
+    try:
+        start = prepare_bundle(block, BundleRequest(**options_of(manifest)), Begun(manifest, rows[0].x, rows[-1].x))
+        yield _judged(start, tuple(rows), block, frame)
+    except np.linalg.LinAlgError as error:
+        raise _misfit(block, error) from None
+
+
+def _layout(block: Block, manifest: Mapping[str, Any], frame: LocalFrame) -> Layout:
+    """How the rows of a run of this block are read. Raises BadProject where they are of another."""
+    from solvers import BadProject
+
+    cameras = [name if name in block.cameras else name.split("@")[0] for name in manifest.get("cameras", ())]
+    if manifest.get("problem") != "bundle" or not cameras or any(c not in block.cameras for c in cameras):
+        raise BadProject("the latest run is of other cameras than the project has now; adjust it anew")
+    return layout_of(manifest, tuple(block.cameras[c] for c in cameras), frame)
+
+
+def keep_work(block: Block, options: dict[str, Any], rows: tuple[Iteration, ...], folder: Path,
+              manifest: Mapping[str, Any]) -> Iterator[Kept]:
     """The bundle of these rows as a run of the project. Raises PhotogrammetryError, also where the folder takes no file."""
     from solvers import BadProject
-    from solvers.orientation.bundle import BundleRequest, conclude_bundle, prepare_bundle
+    from solvers.orientation.bundle import Begun, BundleRequest, conclude_bundle, prepare_bundle
     from solvers.workflows_bundle import leave_run
 
     from .rerun_bundle import record_bundle
 
     adjusted = LAST.adjusted if LAST.block is block and _same(LAST.rows, rows) else None
     if adjusted is None:
-        start = prepare_bundle(block, BundleRequest(**options))
+        start = prepare_bundle(block, BundleRequest(**options), Begun(manifest, rows[0].x, rows[-1].x))
         ended = rows if rows[-1].stop else (*rows[:-1], replace(rows[-1], stop=SILENT))
         try:
             adjusted = conclude_bundle(start, Trace(ended, start.manifest))
@@ -113,4 +186,4 @@ def _judged(start: Any, rows: tuple[Iteration, ...], block: Block, frame: LocalF
         rays=np.array([p.rays for p in points], int), interiors=tuple(done.interiors.values()), freed=done.interior_names,
         interior_covariance=done.interior_covariance, sigma0=done.sigma0, dof=done.dof, rms_px=done.rms_px,
         converged=done.trace.converged, groups=done.groups, control_rms=done.control_rms, check_rms=done.check_rms,
-        suspects=done.suspects, warnings=done.warnings)
+        suspects=done.suspects, warnings=done.warnings, joint=done.joint)

@@ -9,8 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from solvers.adjustment import Iteration
 from solvers.cameras import PARAMETERS
-from solvers.io import latest_run
+from solvers.errors import BadProject
+from solvers.io import latest_run, write_project
+from solvers.workflows_bundle import StoppedRun, adjust_project
 from viewer_app.acting import update
 from viewer_app.actions import GoTo, SwitchPoint
 from viewer_app.bundle_figures import camera_figures, field, image_vectors, profile
@@ -20,18 +23,26 @@ from viewer_app.bundle_state import (
     Bundle,
     BundleCame,
     BundleFailed,
+    FollowBundle,
     FreeParameter,
+    HoldBundle,
     KeepBundle,
+    OfEveryImage,
     RunBundle,
     SetBundle,
     StopBundle,
+    bundle_choices,
+    bundle_of_choices,
     exterior,
+    image_number,
     misfit,
     place,
     point_rms,
     ray_counts,
 )
 from viewer_app.bundle_tasks import tasks
+from viewer_app.panels.bundle import together
+from viewer_app.panels.bundle_tables import two_runs
 from viewer_app.state import State
 from viewer_app.tabs import whole_scene
 from viewer_app.values import Ellipsoids, Frusta, Label, PointCloud, Segments
@@ -60,7 +71,8 @@ def room(state: State) -> Bundle:
 
 
 def test_choices_are_checked(state: State) -> None:
-    for name, value in (("model", "fisheye"), ("datum", 3), ("vectors", -1.0), ("alone", "yes"), ("rows", ()), ("nothing", 1)):
+    for name, value in (("model", "fisheye"), ("datum", 3), ("vectors", -1.0), ("alone", "yes"), ("rows", ()), ("nothing", 1),
+                        ("images", 3), ("images", "x" * 5000), ("shutter", "fast"), ("per_image", ("c",))):
         assert update(state, SetBundle(name, value)) is state
     now = update(update(state, SetBundle("model", "orthogonal")), SetBundle("datum", "free"))
     assert (room(now).model, room(now).datum) == ("orthogonal", "free")
@@ -233,3 +245,73 @@ def test_the_radial_profile_finds_a_radial_error(done: State) -> None:
     assert len(cells.count) == 48 and cells.count.sum() == 4000 and (outwards > 0).mean() > 0.9
     figures = camera_figures(done, 0)
     assert figures is not None and figures[0].count.sum() <= len(done.block.observations)
+
+
+def test_a_bundle_set_aside_is_seen_beside_the_next(done: State) -> None:
+    assert room(update(make(done), HoldBundle())).error.startswith("There is no finished bundle")
+    aside = update(done, HoldBundle())
+    again = run(update(update(aside, OfEveryImage("xp")), FreeParameter("c")))
+    b = room(again)
+    assert b.free == ("c", "xp") and b.per_image == ("xp",) and b.held is not None and b.held.result is room(done).result
+    assert b.result is not None and b.result.freed == (("uav", "c"), ("uav@left", "xp"), ("uav@right", "xp"))
+    said = two_runs(again)
+    assert "xp" in said and "free" in said and f"{b.result.dof}" in said and f"{room(done).result.dof}" in said  # type: ignore[union-attr]
+    assert isinstance(whole_scene(again)["/bundle/held"], Segments)
+    joint = together(b.result, again.image, image_number(b, again.image) or 0, [0, 1])
+    assert joint.shape == (8, 8) and np.linalg.eigvalsh(joint).min() > -1e-12 and np.abs(joint[:6, 6:]).max() > 0
+    assert room(update(again, HoldBundle(on=False))).held is None
+
+
+def make(state: State) -> State:
+    """The state without its bundle."""
+    return state.with_room(Bundle())
+
+
+def test_some_images_only(state: State) -> None:
+    none = update(update(state, SetBundle("images", "nobody*")), RunBundle())
+    assert "means 0 image(s)" in room(none).error and not tasks(none)
+    names = [i.name for i in state.block.images]
+    some = run(update(state, SetBundle("images", f"{names[0]}, {names[1][:-1]}*")))
+    assert room(some).layout is not None and set(room(some).layout.images) <= set(names)  # type: ignore[union-attr]
+    assert room(bundle(some)).images == room(some).images
+
+
+def bundle(state: State) -> State:
+    """Through what a session keeps."""
+    return state.with_room(bundle_of_choices(bundle_choices(room(state))))
+
+
+def test_a_run_is_followed_and_continued(state: State, tmp_path: Path) -> None:
+    folder = tmp_path / "project"
+    write_project(state.block, folder)
+    here = replace(state, assets=replace(state.assets, folder=folder))
+    nothing = update(here, FollowBundle())
+    (task,) = tasks(nothing)
+    with pytest.raises(BadProject, match="no run of an adjustment to follow"):
+        list(task.call(*task.arguments))
+    rows: list[Iteration] = []
+
+    class Stops:
+        def __call__(self, *_: object) -> Stops:
+            return self
+
+        def row(self, row: Iteration) -> None:
+            rows.append(row)
+            if row.index == 1:
+                raise KeyboardInterrupt
+
+        def close(self) -> None:
+            pass
+
+    stopped = adjust_project(folder, live=Stops())
+    assert isinstance(stopped, StoppedRun)
+    state = here
+    state = update(state, FollowBundle())
+    (task,) = tasks(state)
+    for value in task.call(*task.arguments):
+        state = update(state, task.arrive(value))
+    b = room(state)
+    assert b.task == "" and len(b.rows) == 2 and b.result is None and "was stopped at row 1" in b.progress
+    np.testing.assert_allclose(b.rows[1].x, rows[1].x, atol=1e-6)
+    ended = run(update(state, GoTo(0)), on=True)
+    assert room(ended).result is not None and room(ended).result.converged and room(ended).rows[0] is b.rows[0]  # type: ignore[union-attr]

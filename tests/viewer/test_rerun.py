@@ -30,7 +30,7 @@ from tests.synthetic import REAL_CAMERA, block_of, prior_of, scene
 from viewer_app import rerun_server, theme
 from viewer_app.paint_rerun import record
 from viewer_app.replay import Replay
-from viewer_app.rerun_server import serve
+from viewer_app.rerun_server import Served, growing, serve
 
 ORIGIN = np.array([412000.0, 5400000.0, 250.0])
 NAME = "DSC 1/left.jpg"
@@ -341,3 +341,20 @@ def test_it_opens_in_a_browser_and_speaks_to_nobody_else(path: Path) -> None:
         assert f"{served.origin}/recording.rrd" in log.answered
         assert all(url.startswith(served.origin) for url in log.answered)
         assert not [error for error in log.errors if "Failed to fetch" not in error]  # its refused calls home
+
+
+def test_a_recording_that_grows_is_handed_on_as_it_grows(tmp_path: Path) -> None:
+    """While its run is at work the answer stays open; what comes is sent; it ends with the run."""
+    recording, running = tmp_path / "recording.rrd", tmp_path / "running"
+    recording.write_bytes(b"first ")
+    running.write_text(f"{os.getpid()}\n")
+    direct = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+    with Served(recording, {}) as served, direct.open(f"{served.origin}/recording.rrd") as answer:
+        assert answer.read(6) == b"first "
+        with recording.open("ab") as stream:
+            stream.write(b"second")
+        assert answer.read(6) == b"second"
+        running.unlink()
+        assert answer.read() == b""
+    running.write_text("999999999\n")
+    assert not growing(recording)  # nobody makes rows any more

@@ -16,11 +16,16 @@ from ..bundle_state import (
     DATUMS,
     FACTORS,
     ROBUST,
+    SHUTTERS,
     STARTS,
     TRANSFORMS,
     Bundle,
+    FollowBundle,
     FreeParameter,
+    HoldBundle,
+    Judged,
     KeepBundle,
+    OfEveryImage,
     RunBundle,
     SetBundle,
     StopBundle,
@@ -39,6 +44,7 @@ from .bundle_tables import (
     points_table,
     summary,
     suspects_table,
+    two_runs,
 )
 from .rerun import RerunPanel
 from .widgets import BOX, MUTED, Html, bind, esc, prop, put
@@ -72,7 +78,16 @@ class BundlePanel:
         self._stop.on_click(lambda _: emit(StopBundle()))
         self._on = gui.add_button("Continue bundle", hint="Go on from the row shown; later rows are made anew.", color="gray")
         self._on.on_click(lambda _: emit(RunBundle(on=True)))
+        follow = gui.add_button("Follow run", hint="Show the rows of the project's latest run, also of one that collinea adjust "
+                                "is making now; go on from any of them.", color="gray")
+        follow.on_click(lambda _: emit(FollowBundle()))
         self._text = Html(gui)
+        self._hold = gui.add_button("Set bundle aside", hint="Keep it here while the next one runs, to see both beside each "
+                                    "other.", color="gray")
+        self._hold.on_click(lambda _: emit(HoldBundle()))
+        self._away = gui.add_button("Put it away", hint="Forget the bundle that was set aside.", color="gray")
+        self._away.on_click(lambda _: emit(HoldBundle(on=False)))
+        self._beside = Html(gui)
         self._drawing(desk)
         self._legend = Html(gui)
         self._plots = Html(gui)
@@ -98,12 +113,16 @@ class BundlePanel:
                 "datum": ("Datum from", DATUMS, "What gives place, attitude and scale: control; GPS/IMU priors; both; free: "
                           "inner constraints, least trace."),
                 "start": ("Start values", STARTS, "Where the start comes from; auto takes whatever the project offers."),
+                "shutter": ("Rolling shutter", SHUTTERS, "Images that move while they are read; needs readout_ms of the camera."),
                 "loss": ("Robust loss", ROBUST, "Down-weights blunders; none: least squares. Danish is the strictest."),
             }
             self._chosen: dict[str, Any] = {}
             for name, (label, options, hint) in made.items():
                 self._chosen[name] = gui.add_dropdown(label, options, initial_value=getattr(room, name), hint=hint)
                 bind(self._chosen[name], emit, lambda value, name=name: SetBundle(name, value))
+            self._images = gui.add_text("Images", room.images, hint="Names or patterns of the images that take part, such as "
+                                        "DSC0023*, S1_*; empty: all.")
+            bind(self._images, emit, lambda value: SetBundle("images", str(value)))
         with gui.add_folder("Free interior parameters", expand_by_default=False):
             every = gui.add_button_group("Free", ("all", "none"), hint="Adjust all ten parameters of every camera, or none.")
 
@@ -116,6 +135,11 @@ class BundlePanel:
                           for p in PARAMETERS}
             for p, handle in self._free.items():
                 bind(handle, emit, lambda value, p=p: FreeParameter(p, bool(value)))
+            self._own = {p: gui.add_checkbox(f"Every image its own {p}", p in room.per_image,
+                                             hint=f"Adjust {HINTS[p]} of every image by itself, not of the camera.")
+                         for p in PARAMETERS}
+            for p, handle in self._own.items():
+                bind(handle, emit, lambda value, p=p: OfEveryImage(p, bool(value)))
 
     def _drawing(self, desk: Desk) -> None:
         gui, emit = desk.gui, desk.emit
@@ -140,8 +164,12 @@ class BundlePanel:
         for name, handle in self._chosen.items():
             put(handle, getattr(room, name))
         prop(self._chosen["transform"], "visible", room.model == "orthogonal")
+        put(self._images, room.images)
         for p, handle in self._free.items():
             put(handle, p in room.free)
+            put(self._own[p], p in room.per_image)
+        prop(self._hold, "visible", room.result is not None and not room.task)
+        prop(self._away, "visible", room.held is not None)
         prop(self._run, "disabled", bool(room.task))
         prop(self._stop, "visible", bool(room.task))
         prop(self._on, "visible", bool(room.rows) and not room.task and (room.result is None or state.row < room.steps))
@@ -154,6 +182,7 @@ class BundlePanel:
         if len(seen) != len(self._seen) or any(a is not b for a, b in zip(seen, self._seen, strict=True)):
             self._seen = seen
             self._text.set(f"<div {BOX}>{summary(state)}</div>")
+            self._beside.set(_box(two_runs(state)))
             self._legend.set(_box(legend(state) + marks(state)))
             self._plots.set(_box(plots_html(state)))
             self._tables.set(_box(tables_html(state, self._wire)))
@@ -197,7 +226,17 @@ def plots_html(state: State) -> str:
             parts += [_title("Correlations of the interior", "percent"),
                       correlation_svg("Correlations of the interior orientation", tuple(result.freed[i][1] for i in mine),
                                       result.interior_covariance[np.ix_(mine, mine)])]
+            names = tuple(result.freed[i][1] for i in mine)
+            joint = together(result, state.image, k, mine)
+            parts += [_title(f"Correlations of {esc(state.image)} with its camera", "percent"),
+                      correlation_svg("Joint correlations of exterior and interior orientation", (*EXTERIOR, *names), joint)]
     return "".join(parts)
+
+
+def together(result: Judged, image: str, k: int, mine: list[int]) -> np.ndarray:
+    """(6 + f, 6 + f) covariance of an image's exterior orientation and the freed parameters of its camera together."""
+    cross = result.joint.get(image, np.zeros((6, len(mine))))
+    return np.block([[result.exterior[k], cross], [cross.T, result.interior_covariance[np.ix_(mine, mine)]]])
 
 
 def _title(words: str, more: str) -> str:
@@ -227,6 +266,10 @@ TAB = Tab(
         Command("Run bundle", RunBundle(), "B", hint="Adjust all images together."),
         Command("Stop bundle", StopBundle(), hint="The rows so far stay."),
         Command("Continue bundle", RunBundle(on=True), hint="From the row shown."),
+        Command("Follow run", FollowBundle(), hint="Rows of the latest run, also while it is made."),
+        Command("Set bundle aside", HoldBundle(), hint="To see the next one beside it."),
+        Command("Put the bundle set aside away", HoldBundle(on=False)),
+        *(Command(f"Bundle rolling shutter: {s}", SetBundle("shutter", s)) for s in SHUTTERS),
         *(Command(f"Bundle by the {m} model", SetBundle("model", m)) for m in MODELS),
         *(Command(f"Bundle datum: {d}", SetBundle("datum", d)) for d in DATUMS),
         Command("Free all interior parameters", FreeParameter("all")),

@@ -9,7 +9,7 @@ from solvers.cameras import PARAMETERS
 from .. import theme
 from ..bridge import Wire
 from ..bundle_scene import judged, scale_end
-from ..bundle_state import COLOURED, Bundle, Judged, Layout, last_misfit, misfit, point_rms
+from ..bundle_state import COLOURED, Bundle, Held, Judged, Layout, last_misfit, misfit, point_rms
 from ..kept import by_identity
 from ..matching_scene import RAYS, SCALE
 from ..state import State
@@ -65,6 +65,64 @@ def components(result: Judged) -> str:
         if rms is not None:
             found += f"<div>{words} <b>{' '.join(_metres(v) for v in rms)}</b> m in X, Y, Z</div>"
     return found
+
+
+def two_runs(state: State) -> str:
+    """The bundle set aside and the present one beside each other: what was asked, how they fit, what differs."""
+    room, held = state.room(Bundle), state.room(Bundle).held
+    if held is None:
+        return ""
+    now = Held(room.asked, room.layout, room.rows[-1], room.result, room.steps) if room.layout and room.result else None
+    both = (held, now)
+    rows = [("", (label, *("" if h is None else _asked(h.asked[k]) for h in both))) for k, label in enumerate(ASKED)]
+    rows += [("", (label, *("" if h is None else value(h) for h in both))) for label, value in WORTH]
+    kinds = dict.fromkeys(k for h in both if h is not None for k in h.result.groups)
+    for kind in kinds:
+        found = [None if h is None else h.result.groups.get(kind) for h in both]
+        cells = ("" if g is None or g[0] is None else f"{g[0]:.3f}" for g in found)
+        rows.append(("", (f"σ0 {esc(GROUPS.get(kind, kind))}", *cells)))
+    body = table(("", "set aside", "now"), rows, "Two bundles")
+    return f"<div><b>Two bundles</b></div>{body}" + ("" if now is None else _moved(held, now))
+
+
+ASKED = ("projection", "parallel rays", "datum", "free", "robust loss", "start", "of every image", "images", "rolling shutter")
+
+
+def _asked(value: object) -> str:
+    return esc(", ".join(value) if isinstance(value, tuple) else value or "all") or "none"
+
+
+WORTH = (
+    ("iterations", lambda h: str(h.steps)),
+    ("images", lambda h: str(len(h.result.values))),
+    ("redundancy", lambda h: str(h.result.dof)),
+    ("σ0", lambda h: "–" if h.result.sigma0 is None else f"{h.result.sigma0:.3f}"),
+    ("rms [px]", lambda h: f"{h.result.rms_px:.3f}"),
+    ("control rms [m]", lambda h: "–" if h.result.control_rms is None else " ".join(map(_metres, h.result.control_rms))),
+    ("check rms [m]", lambda h: "–" if h.result.check_rms is None else " ".join(map(_metres, h.result.check_rms))),
+    ("median σ of centres [m]", lambda h: _metres(float(np.median(np.sqrt(np.einsum("nii->n", h.result.image_covariance)))))),
+    ("median σ of points [m]", lambda h: _metres(float(np.median(np.sqrt(np.einsum("nii->n", h.result.covariance)))))),
+)
+
+
+def _moved(held: Held, now: Held) -> str:
+    """How far images, points and cameras of one bundle lie from those of the other."""
+    words = []
+    for what, names, at in (("centres", lambda h: h.layout.images, lambda h: h.layout.poses(h.row.x)[0]),
+                            ("points", lambda h: h.layout.points, lambda h: h.layout.places(h.row.x))):
+        index = {n: k for k, n in enumerate(names(held))}
+        pairs = np.array([(index[n], k) for k, n in enumerate(names(now)) if n in index], int).reshape(-1, 2)
+        if len(pairs):
+            off = np.linalg.norm(at(now)[pairs[:, 1]] - at(held)[pairs[:, 0]], axis=1)
+            far = names(now)[int(pairs[np.argmax(off), 1])]
+            words.append(f"{what} moved by {_metres(float(np.median(off)))} m in the middle, at most "
+                         f"{_metres(float(off.max()))} m ({esc(far)})")
+    for name, b in zip(now.layout.cameras, now.result.interiors, strict=True):
+        if name in held.layout.cameras:
+            a = held.result.interiors[held.layout.cameras.index(name)]
+            if a.c != b.c:
+                words.append(f"c of {esc(name)}: {b.c - a.c:+.4f} mm")
+    return f"<div {MUTED}>Now minus set aside: {'; '.join(words)}.</div>" if words else ""
 
 
 def _metres(value: float) -> str:

@@ -257,7 +257,7 @@ def _points(data: Given, problem: Bundle, x: np.ndarray, stats: Statistics) -> t
 def _groups(problem: Bundle, x: np.ndarray, stats: Statistics, v: np.ndarray) -> dict[str, tuple[float | None, float]]:
     """sigma0 and redundancy of each kind of observation (the simplest estimate of variance components: Förstner 1979)."""
     net = problem.network
-    of_control = np.isfinite(net.known).any(axis=1)[net.point]
+    of_control = np.asarray(np.isfinite(net.known).any(axis=1))[net.point]
     square, r = (stats.factor[:, None] * v**2 / net.sigma[:, None] ** 2).sum(axis=1), stats.redundancy.sum(axis=1)
     sums = {name: (float(square[rows].sum()), float(r[rows].sum()))
             for name, rows in (("tie image", ~of_control), ("control image", of_control)) if rows.any()}
