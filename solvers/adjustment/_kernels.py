@@ -2,11 +2,13 @@
 
 from typing import Any
 
+import numba
 from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic as _intrinsic
 
 intrinsic: Any = _intrinsic  # called with the values, written with the typing context: no checker follows that
+njit: Any = numba.njit  # its type stubs do not know every option
 _PARTS = ((0, 4), (4, 2))
 """A row of six doubles: a vector of four and one of two."""
 _TEN = ((0, 4), (4, 4), (8, 2))
@@ -232,3 +234,32 @@ def add_outer(typing, target, t, x, y, a, b, c, d, e, f):
 
 __all__ = ["add_left", "add_one", "add_outer", "add_product", "add_ten", "add_three", "add_two", "dot_six", "dot_ten", "set_six",
            "set_ten", "set_two", "subtract_product"]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
+def extend(a11, a12, a22, place, update, size):
+    """Add the upper triangle of what a child passes on (n, n) to its parent's front; place: of its nodes there, rising."""
+    n1 = len(a11)
+    n = len(place)
+    head = 0
+    while head < n and place[head] * size < n1:
+        head += 1
+    for i in range(n):
+        for r in range(size):
+            row = i * size + r
+            if i < head:
+                at = place[i] * size + r
+                for j in range(i, head):
+                    to = place[j] * size
+                    for c in range(size):
+                        a11[at, to + c] += update[row, j * size + c]
+                for j in range(head, n):
+                    to = place[j] * size - n1
+                    for c in range(size):
+                        a12[at, to + c] += update[row, j * size + c]
+            else:
+                at = place[i] * size + r - n1
+                for j in range(i, n):
+                    to = place[j] * size - n1
+                    for c in range(size):
+                        a22[at, to + c] += update[row, j * size + c]

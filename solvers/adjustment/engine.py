@@ -75,7 +75,7 @@ def iterate(problem: Problem, x0: np.ndarray, options: Options | None = None) ->
         for trial in range(1, options.max_trials + 1):
             used = damping
             dx, multipliers = normal.step(damping)
-            length = float(np.linalg.norm(dx * normal.scale) / np.sqrt(len(dx)))
+            length = float(np.sqrt(_dot(scaled := dx * normal.scale, scaled) / len(dx)))
             reach = length if trial == 1 else reach
             proposal = problem.retract(x, dx) if np.isfinite(length) else x
             new_cost = problem.cost(proposal) if np.isfinite(length) else np.inf
@@ -87,7 +87,7 @@ def iterate(problem: Problem, x0: np.ndarray, options: Options | None = None) ->
                 fall = fall if np.isfinite(new_cost) and new_cost < 1e15 * first else -np.inf
                 break
             if fall >= 0:
-                expected = float(dx @ normal.gradient) / 2 + damping * float(((dx * normal.scale) ** 2).sum()) / 2
+                expected = _dot(dx, normal.gradient) / 2 + damping * _dot(scaled, scaled) / 2
                 ratio = fall / expected if expected > 0 else 1.0
                 damping, growth = damping * max(1 / 3, 1 - (2 * min(ratio, 1.0) - 1) ** 3), 2.0
                 break
@@ -119,6 +119,11 @@ def solve(problem: Problem, x0: np.ndarray, options: Options | None = None,
           manifest: Mapping[str, Any] | None = None) -> Trace:
     """Run `iterate` to its end. Not converging is a result: look at `trace.converged` and `trace.last.stop`."""
     return Trace(tuple(iterate(problem, x0, options)), dict(manifest or {}))
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> float:
+    """Their product, without BLAS, which would wake its threads for long vectors and let them wait in a busy loop."""
+    return float((a * b).sum())
 
 
 def _sigma0(cost: float, dof: int) -> float:

@@ -19,8 +19,10 @@ from typing import Any
 
 import numpy as np
 
-LEAF = 96
+LEAF = 64
 """Nodes that are factored in one piece."""
+SHARES = (0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65)
+"""Of the nodes, those on one side of a cut that are tried."""
 WIDE = 2400
 """Rows of a front from which LAPACK may use several threads; below, waking them costs more than they do."""
 
@@ -88,17 +90,15 @@ class Factor:
 
     def solve(self, b: np.ndarray) -> np.ndarray:
         """(n, r) solution of A x = b for right sides (n, r)."""
-        from scipy.linalg import solve_triangular
+        with alone():
+            return self._solved(np.array(b, float)).reshape(np.shape(b))
 
-        with _blas().limit(limits=1, user_api="blas"):
-            return self._solved(np.array(b, float), solve_triangular).reshape(np.shape(b))
-
-    def _solved(self, b: np.ndarray, solve_triangular: Callable[..., np.ndarray]) -> np.ndarray:
-        s = self.pattern.size
+    def _solved(self, b: np.ndarray) -> np.ndarray:
+        s, (_, dtrsm, _, _) = self.pattern.size, _lapack()
         x = b.reshape(self.pattern.count, s, -1)
         r = x.shape[2]
         for front, (l11, l21) in zip(self.pattern.fronts, self._lower, strict=True):
-            y = solve_triangular(l11, x[front.own].reshape(-1, r), lower=True, check_finite=False)
+            y = dtrsm(1.0, l11, x[front.own].reshape(-1, r), lower=1)
             x[front.own] = y.reshape(-1, s, r)
             if len(front.border):
                 x[front.border] -= (l21 @ y).reshape(-1, s, r)
@@ -106,7 +106,7 @@ class Factor:
             y = x[front.own].reshape(-1, r)
             if len(front.border):
                 y = y - l21.T @ x[front.border].reshape(-1, r)
-            x[front.own] = solve_triangular(l11, y, lower=True, trans=1, check_finite=False).reshape(-1, s, r)
+            x[front.own] = dtrsm(1.0, l11, y, lower=1, trans_a=1).reshape(-1, s, r)
         return x
 
     def selected_inverse(self) -> np.ndarray:
@@ -211,7 +211,7 @@ def _together(pattern: Pattern, work: Callable[[int], None], first: Sequence[int
     many = pattern.threads > 1 and len(size) > 3
     with ThreadPoolExecutor(pattern.threads) if many else nullcontext() as pool:
         while small or wide:
-            with _blas().limit(limits=1, user_api="blas"):
+            with alone():
                 running: dict[Future[None], int] = {}
                 while small or running:
                     while small and len(running) < pattern.threads:
@@ -228,6 +228,11 @@ def _together(pattern: Pattern, work: Callable[[int], None], first: Sequence[int
                 k = abs(heappop(wide))
                 work(k)
                 put(ready(k))
+
+
+def alone() -> Any:
+    """A context in which LAPACK and BLAS use one thread: waking more for little work, they wait in a busy loop."""
+    return _blas().limit(limits=1, user_api="blas")
 
 
 @cache
@@ -258,13 +263,11 @@ def _assembled(pattern: Pattern, front: Front, blocks: np.ndarray,
     a11[front.at[inner, 0], :, front.at[inner, 1], :] = values[inner]
     a12[front.at[~inner, 0], :, front.at[~inner, 1] - n1, :] = values[~inner]
     a11, a12 = a11.reshape(n1 * s, n1 * s), a12.reshape(n1 * s, n2 * s)
-    for child, update in children:
-        head = int((child.place < n1).sum())
-        here, there = _expand(child.place[:head], s), _expand(child.place[head:] - n1, s)
-        h = head * s
-        a11[here[:, None], here] += update[:h, :h]
-        a12[here[:, None], there] += update[:h, h:]
-        a22[there[:, None], there] += update[h:, h:]
+    if children:
+        from ._kernels import extend
+
+        for child, update in children:
+            extend(a11, a12, a22, child.place, update, s)
     return a11, a12, a22
 
 
@@ -335,23 +338,66 @@ def _separator(graph) -> np.ndarray | None:
     if parts > 1:
         sizes = np.bincount(label)
         return np.where(label == np.argmax(sizes), 0, 2)
+    n, best, least = graph.shape[0], None, np.inf
+    for rank in _ranks(graph):
+        order = np.argsort(rank, kind="stable")
+        for share in SHARES:
+            left = np.zeros(n, bool)
+            left[order[:int(share * n)]] = True
+            between = _cover(graph, left)
+            a, b = int((left & ~between).sum()), int((~left & ~between).sum())
+            if min(a, b) and (size := between.sum() * (1 + 0.5 * abs(a - b) / n)) < least:
+                least, best = size, np.where(between, 1, np.where(left, 0, 2))
+    return best if best is not None and (best == 1).sum() < 0.6 * n else None
+
+
+def _ranks(graph) -> Iterator[np.ndarray]:
+    """Orders (n,) of the nodes of a connected graph from one end to the other: by distance from two far nodes, and by
+    the slowest wave (the second eigenvector of its Laplacian)."""
     far = _distance(graph, 0)
     one = _distance(graph, int(np.argmax(far)))
     other = _distance(graph, int(np.argmax(one)))
-    rank = (one - other).astype(float)
-    rank += 1e-3 * one / max(one.max(), 1)
-    order = np.argsort(rank, kind="stable")
-    n, best, least = len(order), None, np.inf
-    for share in (0.4, 0.45, 0.5, 0.55, 0.6):
-        left = np.zeros(n, bool)
-        left[order[:int(share * n)]] = True
-        from_left = (graph @ (~left).astype(np.int32) > 0) & left  # nodes of the left that touch the right
-        from_right = (graph @ left.astype(np.int32) > 0) & ~left
-        between = from_left if from_left.sum() <= from_right.sum() else from_right
-        a, b = int((left & ~between).sum()), int((~left & ~between).sum())
-        if min(a, b) and (size := between.sum() * (1 + 0.5 * abs(a - b) / n)) < least:
-            least, best = size, np.where(between, 1, np.where(left, 0, 2))
-    return best if best is not None and (best == 1).sum() < 0.6 * n else None
+    yield (one - other) + 1e-3 * one / max(one.max(), 1)
+    n = graph.shape[0]
+    if n > 16:
+        from scipy.sparse import diags
+        from scipy.sparse.linalg import ArpackError, eigsh
+
+        scale = 1 / np.sqrt(np.maximum(np.asarray(graph.sum(axis=1), float).ravel(), 1))
+        try:
+            begin = (one - other) / scale + 1e-3
+            matrix = diags(scale) @ graph.astype(float) @ diags(scale)
+            yield scale * eigsh(matrix, k=2, which="LA", v0=begin, tol=1e-2, maxiter=300)[1][:, 0]
+        except ArpackError:  # the other order serves
+            return
+
+
+def _cover(graph, left: np.ndarray) -> np.ndarray:
+    """(n,) the fewest nodes that touch every edge between the left side and the rest (König: from a largest matching)."""
+    from scipy.sparse.csgraph import maximum_bipartite_matching
+
+    rows, columns = np.flatnonzero(left), np.flatnonzero(~left)
+    across = graph[rows][:, columns]
+    rows = rows[touched := np.flatnonzero(np.diff(across.indptr))]
+    across = across[touched]
+    used = np.unique(across.indices)
+    across, columns = across[:, used], columns[used]
+    partner = maximum_bipartite_matching(across, perm_type="column")
+    back = np.full(len(columns), -1)
+    back[partner[partner >= 0]] = np.flatnonzero(partner >= 0)
+    reached, met = partner < 0, np.zeros(len(columns), bool)
+    front = np.flatnonzero(reached)
+    while len(front):  # along edges without, then with a partner
+        new = np.unique(across[front].indices)
+        new = new[~met[new]]
+        met[new] = True
+        front = back[new][back[new] >= 0]
+        front = front[~reached[front]]
+        reached[front] = True
+    out = np.zeros(len(left), bool)
+    out[rows[~reached]] = True
+    out[columns[met]] = True
+    return out
 
 
 def _distance(graph, start: int) -> np.ndarray:

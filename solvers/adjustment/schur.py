@@ -17,7 +17,7 @@ from functools import cached_property
 
 import numpy as np
 
-from .fronts import Factor, Pattern
+from .fronts import Factor, Pattern, alone
 
 
 @dataclass(frozen=True)
@@ -38,23 +38,30 @@ class Reduced:
         return Factor(self.pattern, self.blocks)
 
     @cached_property
+    def _both(self) -> np.ndarray:
+        """(n, k + 1) S^-1 of the border and of the right side, in one pass."""
+        return self.factor.solve(np.column_stack([self.border, self.g]))
+
+    @cached_property
     def _border(self) -> tuple[np.ndarray, np.ndarray]:
         """S^-1 border, and the inverse of corner - border^T S^-1 border."""
-        y = self.factor.solve(self.border) if self.border.shape[1] else self.border
-        k = self.corner - self.border.T @ y
-        k = (k + k.T) / 2
-        np.linalg.cholesky(k)  # refuses what is not positive definite
-        return y, np.linalg.inv(k)
+        y = self._both[:, :self.border.shape[1]]
+        with alone():
+            k = self.corner - self.border.T @ y
+            k = (k + k.T) / 2
+            np.linalg.cholesky(k)  # refuses what is not positive definite
+            return y, np.linalg.inv(k)
 
     def solve(self, g: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Unknowns of the images (n, r) and of the border (k, r) for right sides of the same shapes.
+        """Unknowns of the images (n, r) and of the border (k, r) for right sides of the same shapes (g itself: its one column).
 
         Raises numpy.linalg.LinAlgError where the system is singular.
         """
         y, inverse = self._border
-        x = self.factor.solve(g)
-        shared = inverse @ (h - self.border.T @ x)
-        return x - y @ shared, shared
+        x = self._both[:, -1:] if g is self.g else self.factor.solve(g)
+        with alone():
+            shared = inverse @ (h - self.border.T @ x)
+            return x - y @ shared, shared
 
     def inverse(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The inverse where S is stored: blocks (b, s, s), image-border (n, k) and border (k, k)."""
@@ -82,7 +89,7 @@ class Schur:
     def step(self, damping: float) -> tuple[np.ndarray, np.ndarray]:
         reduced = self.reduce(damping)
         try:
-            images, shared = reduced.solve(reduced.g[:, None], reduced.h[:, None])
+            images, shared = reduced.solve(reduced.g, reduced.h[:, None])
         except np.linalg.LinAlgError:
             return np.full(len(self.gradient), np.nan), np.zeros(0)
         dx = np.concatenate([images[:, 0], shared[:, 0], self.expand(images[:, 0], shared[:, 0], damping)])

@@ -7,12 +7,14 @@ Reference: Brown 1958; FORMULAS sections 2, 3.7 and 9.
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from ...adjustment import Dense, Linear
+from ...adjustment.fronts import alone
 from ...adjustment.losses import COSTS, LOSSES
 from ...adjustment.schur import Schur
 from ...cameras import project, project_derivatives
@@ -79,6 +81,10 @@ class Bundle:
         return np.zeros(0)  # `retract` keeps the inner constraints exactly
 
     def retract(self, x: np.ndarray, dx: np.ndarray) -> np.ndarray:
+        with alone() if self.compiled else nullcontext():
+            return self._retracted(x, dx)
+
+    def _retracted(self, x: np.ndarray, dx: np.ndarray) -> np.ndarray:
         net = self.network
         m, f, _ = net.sizes
         poses, interiors, points = (part.copy() for part in net.split(x))
@@ -95,7 +101,8 @@ class Bundle:
 
     def normal(self, x: np.ndarray) -> Dense | Schur | Bordered:
         if self.compiled:
-            return self.compiled.normal(x, self.prior_rows(x), self.inner)
+            with alone():
+                return self.compiled.normal(x, self.prior_rows(x), self.inner)
         normal = self.linear(x).normal()
         if self.inner is None:
             return normal
