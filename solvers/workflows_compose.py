@@ -93,7 +93,7 @@ def compose_photos(registration: Registration, photos: Mapping[str, Path], out: 
     Beside it: a world file, OUT.footprints.geojson and with seams OUT.seams.geojson. Raises PhotogrammetryError.
     """
     out, request = _must_be_writable(Path(out), request)
-    start, files = time.perf_counter(), {n: Path(photos[n]) for n in registration.names}
+    start, spent, files = time.perf_counter(), time.process_time(), {n: Path(photos[n]) for n in registration.names}
     placed = [_placed(registration, k, files[n]) for k, n in enumerate(registration.names)]
     ground, surface = ground_of(registration, placed, request)
     folder = TileFolder(out, _plan(registration, placed, files, request))
@@ -109,7 +109,7 @@ def compose_photos(registration: Registration, photos: Mapping[str, Path], out: 
     folder.remove()
     seconds = {"plan": planned - start, "tiles": tiled - planned, "write": time.perf_counter() - tiled}
     return {**_said(made, registration), "crs": _crs(registration, request), **notes, "seam_rms": seams.rms,
-            "seams": seams._asdict(), "seconds": seconds,
+            "seams": seams._asdict(), "seconds": seconds, "cpu_seconds": time.process_time() - spent,
             "peak_memory_mb": peak_memory_mb()}
 
 

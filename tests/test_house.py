@@ -31,6 +31,7 @@ MAY_IMPORT = {
     "distributed": r"solvers/execution\.py",
     "matplotlib": r"solvers/(report(_\w+)?|studies(/\w+)?)\.py",
     "threadpoolctl": r"solvers/adjustment/fronts\.py",
+    "isal": r"solvers/io/cog\.py",
     "typst": r"solvers/report_pdf\.py",
     "jinja2": r"solvers/report_html\.py",
     "numba": r"solvers/(\w+/)*_kernels\.py",

@@ -56,12 +56,12 @@ class Coding(NamedTuple):
         return {**out, "count": 4, "photometric": "RGB", "alpha": "non-premultiplied"}
 
     def bands(self, rgba: np.ndarray) -> np.ndarray:
-        """(3 or 4, h, w) of RGBA; what is seen is never nodata: such a value goes one step aside."""
+        """(h, w, 3 or 4) of RGBA; what is seen is never nodata: such a value goes one step aside."""
         if self.nodata is not None:
             aside = self.nodata + 1 if self.nodata < 255 else 254
             rgb = np.where(rgba[..., :3] == self.nodata, np.uint8(aside), rgba[..., :3])
-            return np.moveaxis(np.where(rgba[..., 3:] > 0, rgb, np.uint8(self.nodata)), -1, 0)
-        return np.moveaxis(rgba[..., :3] if self.masked else rgba, -1, 0)
+            return np.where(rgba[..., 3:] > 0, rgb, np.uint8(self.nodata))
+        return rgba[..., :3] if self.masked else rgba
 
 
 PLAIN = Coding()
@@ -90,9 +90,9 @@ def encode_tile(index: int, rgba: np.ndarray, half: Callable[[np.ndarray], np.nd
 
 
 def encode(rgba: np.ndarray, coding: Coding) -> list[bytes]:
-    """The blocks of an RGBA picture whose sides are multiples of BLOCK, row after row, by GDAL's own codecs; then, where the
-    coding has them, those of its mask: rows of bits, 1 where something is seen, deflated."""
-    blocks = _encoded(rgba, coding)
+    """The blocks of an RGBA picture whose sides are multiples of BLOCK, row after row; then, where the coding has them, those of
+    its mask: rows of bits, 1 where something is seen, deflated."""
+    blocks = _deflated(rgba, coding) if coding.compression == "deflate" else _encoded(rgba, coding)
     if coding.masked:
         for top in range(0, rgba.shape[0], BLOCK):
             for left in range(0, rgba.shape[1], BLOCK):
@@ -101,12 +101,28 @@ def encode(rgba: np.ndarray, coding: Coding) -> list[bytes]:
     return blocks
 
 
+def _deflated(rgba: np.ndarray, coding: Coding) -> list[bytes]:
+    """Blocks as TIFF's predictor 2 and deflate have them: what each pixel adds to its left neighbour, in less than half of the
+    time that GDAL takes for the same size."""
+    from isal import isal_zlib
+
+    bands, blocks = coding.bands(rgba), []
+    for top in range(0, rgba.shape[0], BLOCK):
+        for left in range(0, rgba.shape[1], BLOCK):
+            block = np.ascontiguousarray(bands[top:top + BLOCK, left:left + BLOCK])
+            change, n = block.reshape(BLOCK, -1).copy(), block.shape[2]
+            np.subtract(block.reshape(BLOCK, -1)[:, n:], block.reshape(BLOCK, -1)[:, :-n], out=change[:, n:])
+            blocks.append(isal_zlib.compress(change, 2))
+    return blocks
+
+
 def _encoded(rgba: np.ndarray, coding: Coding) -> list[bytes]:
+    """Blocks by GDAL's own codecs."""
     from rasterio.io import MemoryFile
 
     with _gdal(), MemoryFile() as memory:
         with memory.open(width=rgba.shape[1], height=rgba.shape[0], **coding.profile) as data:
-            data.write(coding.bands(rgba))
+            data.write(np.moveaxis(coding.bands(rgba), -1, 0))
         view = memory.getbuffer()
         tags = tiff.read_tags(view)
         where = zip(tags[tiff.OFFSETS].values, tags[tiff.COUNTS].values, strict=True)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import mmap
 import os
 import tempfile
 import threading
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -31,16 +32,21 @@ class PhotoStore:
     folder: Path
     files: Mapping[str, Path]
     limit: int = 8 * 2**30
+    known: dict[str, tuple[Path, tuple[int, int, int]]] = field(default_factory=dict, compare=False, repr=False)
+    """Scratch files that are there unless somebody made room."""
 
     def window(self, name: str, top: int, left: int, bottom: int, right: int) -> np.ndarray:
         """Pixels uint8 (bottom - top, right - left, 3) of a photo. Raises BadProject, Unsupported."""
         for _ in range(3):
-            path, shape = self._decoded(name)
+            path, shape = self.known.get(name) or self._decoded(name)
             try:
-                data = np.memmap(path, np.uint8, "r", shape=shape)
-                return np.array(data[top:bottom, left:right])
+                with open(path, "rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+                    whole = np.frombuffer(data, np.uint8).reshape(shape)
+                    part = whole[top:bottom, left:right].copy()
+                    del whole  # before its memory goes
+                    return part
             except (FileNotFoundError, ValueError):  # it has just made room for another
-                continue
+                self.known.pop(name, None)
         raise BadProject(f"{self.folder}: the scratch file of '{name}' disappears again and again; write to another folder")
 
     def _decoded(self, name: str) -> tuple[Path, tuple[int, int, int]]:
@@ -54,8 +60,10 @@ class PhotoStore:
             with contextlib.suppress(OSError, ValueError):
                 shape = tuple(json.loads(about.read_text()))
                 if raw.stat().st_size == int(np.prod(shape)):
-                    return raw, shape  # pyright: ignore[reportReturnType]
-            return raw, self._decode(name, raw, about)
+                    self.known[name] = raw, (shape[0], shape[1], shape[2])
+                    return self.known[name]
+            self.known[name] = raw, self._decode(name, raw, about)
+            return self.known[name]
 
     def _folder(self) -> Path:
         """The scratch folder; where it cannot be (another machine), one of this machine's own."""

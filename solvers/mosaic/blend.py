@@ -66,10 +66,9 @@ def feather(photo: Placed, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     return np.clip(np.nan_to_num(inside, nan=0.0), 0, 1) ** 2
 
 
-def blended(shots: Sequence[Shot], shape: tuple[int, int], blend: Blend, window: Window, method: Resample) -> tuple[np.ndarray,
-                                                                                                                    np.ndarray]:
-    """Weighted sums (h, w, 3) and weights (h, w), float32, of a tile; of blends without bands."""
-    acc, total = np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32)
+def blended(acc: np.ndarray, first: int, shots: Sequence[Shot], blend: Blend, window: Window, method: Resample) -> None:
+    """Weighted sums and weights acc (rows, w, 4), float32, of rows of a tile from `first` on; of blends without bands."""
+    acc.fill(0)
     best = blend == "none"
     lift = -min((float(s.nearness.min()) for s in shots), default=0.0) + 1.0
     for s in shots:
@@ -80,38 +79,38 @@ def blended(shots: Sequence[Shot], shape: tuple[int, int], blend: Blend, window:
             weight = (s.nearness + lift) / lift
         else:
             weight = np.ones_like(s.feather) if blend == "average" else s.feather
-        warp_onto(s.photo, s.lattice, weight, s.bright, good, window, method, best, acc, total)
+        warp_onto(acc, s.photo, s.lattice, window, method, weight, s.bright, good, best, first)
     if best:
-        total[total > 0] = 1
+        acc[..., 3] = acc[..., 3] > 0
     if any(s.label is not None for s in shots):
-        _fill(shots, acc, total, window, method)
-    return acc, total
+        _fill(acc, first, shots, window, method)
 
 
-def _fill(shots: Sequence[Shot], acc: np.ndarray, total: np.ndarray, window: Window, method: Resample) -> None:
+def _fill(acc: np.ndarray, first: int, shots: Sequence[Shot], window: Window, method: Resample) -> None:
     """Where the photo that the seams want shows nothing (hidden, its edge), the others take over."""
-    empty = total == 0
+    empty = acc[..., 3] == 0
     if not empty.any():
         return
-    more, weight = np.zeros_like(acc), np.zeros_like(total)
+    more = np.zeros_like(acc)
     for s in shots:
-        good = s.lattice.good & _cells_with(empty, s.lattice)
+        good = s.lattice.good & _cells_with(empty, first, s.lattice)
         if good.any():
-            warp_onto(s.photo, s.lattice, s.feather, s.bright, good, window, method, False, more, weight)
-    acc[empty], total[empty] = more[empty], weight[empty]
+            warp_onto(more, s.photo, s.lattice, window, method, s.feather, s.bright, good, first=first)
+    acc[empty] = more[empty]
 
 
 def _any(nodes: np.ndarray) -> np.ndarray:
     return nodes[:-1, :-1] | nodes[:-1, 1:] | nodes[1:, :-1] | nodes[1:, 1:]
 
 
-def _cells_with(mask: np.ndarray, lattice: Lattice) -> np.ndarray:
-    """Cells of a lattice that hold a pixel of a mask."""
-    m, n = lattice.good.shape
-    padded = np.zeros((m * lattice.step, n * lattice.step), bool)
-    h, w = min(mask.shape[0], padded.shape[0]), min(mask.shape[1], padded.shape[1])
-    padded[:h, :w] = mask[:h, :w]
-    return padded.reshape(m, lattice.step, n, lattice.step).max(axis=(1, 3))
+def _cells_with(mask: np.ndarray, first: int, lattice: Lattice) -> np.ndarray:
+    """Cells of a lattice that hold a pixel of a mask, rows of the tile from `first` on."""
+    (m, n), step = lattice.good.shape, lattice.step
+    out, rows, columns = np.zeros((m, n), bool), *np.nonzero(mask)
+    i, j = (rows + first) // step, columns // step
+    inside = (i < m) & (j < n)
+    out[i[inside], j[inside]] = True
+    return out
 
 
 # -- bands ------------------------------------------------------------------------------------------------------------------
@@ -124,39 +123,41 @@ def widened(tile: Tile) -> Tile:
                 -(-tile.width // unit) * unit + 2 * MARGIN)
 
 
-def multiband(shots: Sequence[Shot], shape: tuple[int, int], window: Window, method: Resample) -> tuple[np.ndarray, np.ndarray]:
-    """Sums and weights as `blended` gives them, of Laplacian pyramids joined along the seams (Burt & Adelson 1983).
+def multiband(shots: Sequence[Shot], shape: tuple[int, int], window: Window, method: Resample) -> np.ndarray:
+    """Colours and whether they are seen (h, w, 4), of Laplacian pyramids joined along the seams (Burt & Adelson 1983).
 
     Beyond its edges a photo goes on with what the others show, and where no one does with what lies nearest, so that no edge
     of a photo shines through.
     """
-    base, seen = blended(shots, shape, "feather", window, method)
-    shown = (seen > 0).astype(np.float32)
-    if not shown.any():
-        return base, seen
-    base /= np.maximum(seen, 1e-12)[..., None]
+    out = np.empty((*shape, 4), np.float32)
+    blended(out, 0, shots, "feather", window, method)
+    shown = (out[..., 3] > 0).astype(np.float32)
+    base = out[..., :3] / np.maximum(out[..., 3:], 1e-12)
+    out[..., 3] = shown
+    if len(shots) < 2 or not shown.any():
+        out[..., :3] = base
+        return out
     base = _gone_on(base, shown)
-    if len(shots) < 2:
-        return base, shown
     sums: list[np.ndarray] = []
     weights: list[np.ndarray] = []
-    acc, total = np.empty((*shape, 3), np.float32), np.empty(shape, np.float32)
+    acc = np.empty((*shape, 4), np.float32)
     for s in shots:
         if s.label is None or not (s.label > 0).any():
             continue
         acc.fill(0)
-        total.fill(0)
-        warp_onto(s.photo, s.lattice, np.ones_like(s.feather), s.bright, s.lattice.good, window, method, False, acc, total)
-        mask = interpolated(s.label, s.lattice.step, shape)
-        mask[total <= 0] = 0
-        acc[total == 0] = base[total == 0]
+        warp_onto(acc, s.photo, s.lattice, window, method, bright=s.bright)
+        mask, empty = interpolated(s.label, s.lattice.step, shape), acc[..., 3] <= 0
+        mask[empty] = 0
+        acc[empty, :3] = base[empty]
         _add_bands(acc, mask, sums, weights)
     if not sums:
-        return base, shown
+        out[..., :3] = base
+        return out
     left = np.clip(1 - weights[0], 0, None)  # nobody's: the feathered picture
     if (left > 1e-3).any():
         _add_bands(base, left, sums, weights)
-    return _joined(sums, weights), shown
+    out[..., :3] = _joined(sums, weights)
+    return out
 
 
 def _add_bands(picture: np.ndarray, mask: np.ndarray, sums: list[np.ndarray], weights: list[np.ndarray]) -> None:
@@ -216,11 +217,9 @@ def interpolated(nodes: np.ndarray, step: int, shape: tuple[int, int]) -> np.nda
     return lines[i] * (1 - a) + lines[i + 1] * a
 
 
-def tile_rgba(acc: np.ndarray, total: np.ndarray) -> np.ndarray:
-    """RGBA uint8 (h, w, 4) of sums and weights."""
-    out = np.empty((*total.shape, 4), np.uint8)
-    compiled().finish(acc, total, 0, out)
-    return out
+def finish(acc: np.ndarray, out: np.ndarray) -> None:
+    """RGBA out uint8 (h, w, 4) of sums and weights acc (h, w, 4) float32."""
+    compiled().finish(acc, out)
 
 
 def half(rgba: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import DegenerateGeometry
 from ..geometry import Grid, Surface
-from .blend import MARGIN, Blend, Layers, blended, multiband, shots_of, tile_rgba, widened
+from .blend import MARGIN, Blend, Layers, blended, finish, multiband, shots_of, widened
 from .canvas import Canvas, canvas_of
 from .gain import Tones, solve_tones
 from .labels import Labels
@@ -27,6 +27,8 @@ from .tones import PLAIN, Tone
 
 SIDE = 1024
 """px of a tile's side."""
+STRIP = 128
+"""px of a tile's rows that are blended at a time: sums that a processor's cache holds."""
 ReadSurface = Callable[[tuple[float, float, float, float]], Surface]
 """(west, south, east, north) -> the height grid there."""
 
@@ -152,14 +154,20 @@ def render(job: Job, window: Window) -> np.ndarray:
     """RGBA uint8 (h, w, 4) of a tile; alpha 0 where no photo shows anything."""
     labels, options = job.layers.labels, job.options
     step = COARSEST if labels is None else min(COARSEST, labels.factor)
+    out = np.empty((job.tile.height, job.tile.width, 4), np.uint8)
     if options.blend != "multiband":
         shots = shots_of(Nets(job.grid, job.tile, job.ground, step), job.layers)
-        return tile_rgba(*blended(shots, (job.tile.height, job.tile.width), options.blend, window, options.resample))
+        acc = np.empty((min(STRIP, job.tile.height), job.tile.width, 4), np.float32)
+        for first in range(0, job.tile.height, STRIP):
+            rows = acc[:job.tile.height - first]
+            blended(rows, first, shots, options.blend, window, options.resample)
+            finish(rows, out[first:first + STRIP])
+        return out
     wide = widened(job.tile)
     shots = shots_of(Nets(job.grid, wide, job.ground, step), job.layers)
-    acc, total = multiband(shots, (wide.height, wide.width), window, options.resample)
-    cut = slice(MARGIN, MARGIN + job.tile.height), slice(MARGIN, MARGIN + job.tile.width)
-    return tile_rgba(acc[cut], total[cut])
+    acc = multiband(shots, (wide.height, wide.width), window, options.resample)
+    finish(np.ascontiguousarray(acc[MARGIN:MARGIN + job.tile.height, MARGIN:MARGIN + job.tile.width]), out)
+    return out
 
 
 def compose(photos: Sequence[Placed], ground: Ground, window: Window, options: ComposeOptions | None = None,

@@ -18,7 +18,7 @@ _SIDE = 1024
 def orthorectify(image: np.ndarray, interior: Interior, exterior: Exterior, surface: Surface | MosaicPlane | float,
                  grid: Grid | None = None, *, gsd: float | None = None, frame: LocalFrame | None = None,
                  method: Resample = "bilinear") -> tuple[np.ndarray, np.ndarray, Grid]:
-    """The orthophoto of an image (h, w) or (h, w, 3): values float32 (rows, columns, bands), where it is seen, and its grid.
+    """The orthophoto of an image (h, w) or (h, w, bands): values float32 (rows, columns, bands), where it is seen, and its grid.
 
     exterior: in the frame (None: map coordinates are taken as Cartesian); surface: a height grid, a plane, or the height of a
     level one [m, in the map]; grid None: the photo's own extent at `gsd` (None: as the photo resolves). What the height grid
@@ -29,7 +29,8 @@ def orthorectify(image: np.ndarray, interior: Interior, exterior: Exterior, surf
     ground, photo = Ground(frame, plane), Placed("photo", interior, exterior)
     grid = grid or canvas_of([photo], ground, gsd).grid
     bands = 1 if image.ndim == 2 else image.shape[2]
-    colours = np.ascontiguousarray(np.repeat(image[..., None], 3, axis=2) if image.ndim == 2 else image)
+    layers = np.pad(np.atleast_3d(image), ((0, 0), (0, 0), (0, -bands % 3)))
+    threes = [np.ascontiguousarray(layers[..., k:k + 3]) for k in range(0, bands, 3)]
     rows, columns = grid.shape
     out, seen = np.full((rows, columns, bands), np.nan, np.float32), np.zeros((rows, columns), bool)
     for top in range(0, rows, _SIDE):
@@ -38,11 +39,11 @@ def orthorectify(image: np.ndarray, interior: Interior, exterior: Exterior, surf
             lattice = Nets(grid, tile, ground).lattice(photo)
             if lattice is None:
                 continue
-            acc, total = np.zeros((tile.height, tile.width, 3), np.float32), np.zeros((tile.height, tile.width), np.float32)
-            ones = np.ones_like(lattice.u)
-            warp_onto(photo, lattice, ones, ones, lattice.good, lambda _, t, le, b, r: colours[t:b, le:r], method, False, acc,
-                      total)
+            acc = np.zeros((tile.height, tile.width, 4), np.float32)
             part = slice(top, top + tile.height), slice(left, left + tile.width)
-            seen[part] = total > 0
-            out[part] = np.where(seen[part][..., None], acc[..., :bands], np.nan)
+            for k, three in enumerate(threes):
+                acc.fill(0)
+                warp_onto(acc, photo, lattice, lambda _, t, le, b, r, three=three: three[t:b, le:r], method)
+                seen[part] = acc[..., 3] > 0
+                out[part][..., 3 * k:3 * k + 3] = np.where(seen[part][..., None], acc[..., :min(3, bands - 3 * k)], np.nan)
     return out, seen, grid

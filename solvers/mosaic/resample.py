@@ -32,17 +32,25 @@ def sample(image: np.ndarray, pixels: np.ndarray, method: Resample = "bilinear")
     return out
 
 
-def warp_onto(photo: Placed, lattice: Lattice, weight: np.ndarray, bright: np.ndarray, good: np.ndarray, window: Window,
-              method: Resample, best: bool, acc: np.ndarray, total: np.ndarray) -> None:
-    """Joins a photo to a tile: acc (h, w, 3) and total (h, w), float32; see the kernel `warp`."""
-    box = _window(photo, lattice, good)
+def warp_onto(acc: np.ndarray, photo: Placed, lattice: Lattice, window: Window, method: Resample = "bilinear",
+              weight: np.ndarray | None = None, bright: np.ndarray | None = None, good: np.ndarray | None = None,
+              best: bool = False, first: int = 0) -> None:
+    """Joins a photo to rows of a tile from `first` on: acc (rows, w, 4) float32 gains (weight * bright * value, weight), or
+    with `best` becomes it where the weight is more. weight, bright: at the lattice nodes (None: 1); good: cells (None: all)."""
+    ones = np.ones_like(lattice.u)
+    good = lattice.good if good is None else good
+    here = np.zeros_like(good)
+    rows = slice(first // lattice.step, (first + len(acc) - 1) // lattice.step + 1)
+    here[rows] = good[rows]
+    box = _window(photo, lattice, here)
     if box is None:
         return
     top, left, bottom, right = box
     pixels = window(photo.name, top, left, bottom, right)
-    compiled().warp(pixels, top, left, (photo.interior.height, photo.interior.width), lattice.u, lattice.v,
-                    np.ascontiguousarray(weight, float), np.ascontiguousarray(bright, float), good, lattice.step,
-                    KINDS.index(method), int(best), acc, total)
+    pixels = np.ascontiguousarray(pixels, None if pixels.dtype == np.uint8 else np.float32)
+    w, b = (ones if x is None else np.ascontiguousarray(x, float) for x in (weight, bright))
+    compiled().warp(pixels, top, left, (photo.interior.height, photo.interior.width), lattice.u, lattice.v, w, b, here,
+                    lattice.step, KINDS.index(method), best, first, acc)
 
 
 def _window(photo: Placed, lattice: Lattice, good: np.ndarray) -> tuple[int, int, int, int] | None:

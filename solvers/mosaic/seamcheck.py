@@ -39,7 +39,9 @@ def check_seams(made: Composition, window: Window) -> SeamCheck:
     hann, found = cv2.createHanningWindow((SIDE, SIDE), cv2.CV_32F), []
     for a, b in pairs[:MOST]:
         for tile in _places(made, a, b, each):
-            first, second = (_patch(made, k, tile, window) for k in (a, b))
+            nets = _nets(made, (a, b), tile)
+            first = _patch(made, a, nets, window)
+            second = None if first is None else _patch(made, b, nets, window)
             if first is None or second is None or min(first.std(), second.std()) < 3:
                 continue
             (dx, dy), response = cv2.phaseCorrelate(first, second, hann)
@@ -75,14 +77,20 @@ def _places(made: Composition, a: int, b: int, count: int) -> list[Tile]:
     return [Tile(int(r), int(c), SIDE, SIDE) for c, r in pixels if 0 <= r <= rows - SIDE and 0 <= c <= columns - SIDE]
 
 
-def _patch(made: Composition, k: int, tile: Tile, window: Window) -> np.ndarray | None:
-    """Grey values (SIDE, SIDE) float32 of one photo alone; None where it does not show all of it."""
-    photo, ground, grid = made.photos[k], made.ground, made.canvas.grid
+def _nets(made: Composition, pair: tuple[int, int], tile: Tile) -> Nets:
+    """The surface under a patch."""
+    ground, grid = made.ground, made.canvas.grid
     if made.surface is not None:
-        ground = Ground(ground.frame, made.surface(bounds_of(grid, tile, ground, (photo,))))
-    lattice = Nets(grid, tile, ground).lattice(photo)
+        ground = Ground(ground.frame, made.surface(bounds_of(grid, tile, ground, [made.photos[k] for k in pair])))
+    return Nets(grid, tile, ground)
+
+
+def _patch(made: Composition, k: int, nets: Nets, window: Window) -> np.ndarray | None:
+    """Grey values (SIDE, SIDE) float32 of one photo alone; None where it does not show all of it."""
+    photo = made.photos[k]
+    lattice = nets.lattice(photo)
     if lattice is None:
         return None
-    acc, total, ones = np.zeros((SIDE, SIDE, 3), np.float32), np.zeros((SIDE, SIDE), np.float32), np.ones_like(lattice.u)
-    warp_onto(photo, lattice, ones, ones, lattice.good, window, made.options.resample, False, acc, total)
-    return acc.mean(-1) if (total > 0).all() else None
+    acc = np.zeros((SIDE, SIDE, 4), np.float32)
+    warp_onto(acc, photo, lattice, window, made.options.resample)
+    return acc[..., :3].mean(-1) if (acc[..., 3] > 0).all() else None

@@ -98,15 +98,14 @@ def _look(number: int, photo: Placed, grid: Grid, ground: Ground, outline: np.nd
     zoom = picture.shape[1] / i.width, picture.shape[0] / i.height
     u, v = (lattice.u + 0.5) * zoom[0] - 0.5, (lattice.v + 0.5) * zoom[1] - 0.5
     reduced = Lattice(lattice.step, u, v, lattice.good, lattice.net)
-    acc = np.zeros((tile.height, tile.width, 3), np.float32)
-    total = np.zeros(acc.shape[:2], np.float32)
-    ones = np.ones_like(lattice.u)
+    acc = np.zeros((tile.height, tile.width, 4), np.float32)
     thumb = Placed(photo.name, Interior(1.0, pixel_mm=1.0, width=picture.shape[1], height=picture.shape[0]))
-    warp_onto(thumb, reduced, ones, ones, lattice.good, lambda _, t, le, b, r: picture[t:b, le:r], "bilinear", False, acc, total)
-    if not total.any():
+    warp_onto(acc, thumb, reduced, lambda _, t, le, b, r: picture[t:b, le:r])
+    seen = acc[..., 3] > 0
+    if not seen.any():
         return None
-    edge = interpolated(feather(photo, lattice.u, lattice.v), lattice.step, total.shape)
-    return Look(number, photo, tile, acc, total > 0, edge, lattice)
+    edge = interpolated(feather(photo, lattice.u, lattice.v), lattice.step, seen.shape)
+    return Look(number, photo, tile, np.ascontiguousarray(acc[..., :3]), seen, edge, lattice)
 
 
 def bounds_of(grid: Grid, tile: Tile, ground: Ground, photos: Sequence[Placed]) -> tuple[float, float, float, float]:
