@@ -13,7 +13,9 @@ from solvers.io.exchange.scene import Exchange, named
 
 from .scenes import FULL, MIDDLE, OURS, scene
 
-NEAR = np.array([12.5, -40.25, 7.0])
+PLACES = {"local": np.array([12.5, -40.25, 7.0]), "UTM": np.array([684_210.125, 5_334_100.3, 412.7]),
+          "UTM south": np.array([333_210.7, 9_834_100.1, 1412.3])}
+NEAR = PLACES["local"]
 FILES = {"colmap": "m", "colmap-bin": "m", "opf": "m", "blocks": "b.xml", "pix4d": "x_calibrated_camera_parameters.txt",
          "nerfstudio": "transforms.json", "bundler": "bundle.out", "bal": "p.txt", "opk": "o.csv", "opk-metashape": "o.txt",
          "opk-pix4d": "o.txt", "pok": "o.csv", "opk-gon": "o.csv", "patb": "o.ori", "gcp": "g.csv", "gcp-odm": "gcp_list.txt",
@@ -27,9 +29,11 @@ def back(kind: str, value: Exchange, folder: Path) -> Exchange:
     return registry.read(folder / FILES[kind])
 
 
+@pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("kind", [k for k in FILES if "orientations" in registry.FORMATS[k].holds])
-def test_orientations(tmp_path: Path, kind: str) -> None:
-    truth = scene(MIDDLE if kind in ("bundler", "bal") else FULL, origin=NEAR)
+def test_orientations(tmp_path: Path, kind: str, place: str) -> None:
+    """To 1e-9 m also at map coordinates, where formats store t = -R C."""
+    truth = scene(MIDDLE if kind in ("bundler", "bal") else FULL, origin=PLACES[place])
     value = back(kind, truth, tmp_path)
     assert len(value.oriented) == 4
     for a, b in zip(truth.shots, value.shots, strict=True):
@@ -50,9 +54,10 @@ def test_cameras(tmp_path: Path, kind: str) -> None:
         assert getattr(camera, name) == pytest.approx(getattr(own, name), abs=1e-9, rel=0), name
 
 
+@pytest.mark.parametrize("place", ["local", "UTM south"])
 @pytest.mark.parametrize("kind", ["colmap", "colmap-bin", "blocks", "bundler", "bal", "opf", "gcp"])
-def test_points_and_measurements(tmp_path: Path, kind: str) -> None:
-    truth = scene(MIDDLE if kind in ("bundler", "bal") else FULL, origin=NEAR)
+def test_points_and_measurements(tmp_path: Path, kind: str, place: str) -> None:
+    truth = scene(MIDDLE if kind in ("bundler", "bal") else FULL, origin=PLACES[place])
     value = back(kind, truth, tmp_path)
     own, other = (_marks(v) for v in (truth, value))
     kept = {k: v for k, v in own.items() if kind != "opf" or k[1] in {x for _, x in other}}

@@ -8,6 +8,7 @@ grail.cs.washington.edu/projects/bal
 from __future__ import annotations
 
 from collections.abc import Mapping
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,8 @@ from ...cameras.foreign import to_brown
 from ...errors import BadTable, PhotogrammetryError
 from ...geometry import Exterior, log, rotation
 from ..files import write_text
-from .conventions import CameraAxes, Position, RotationDirection, exterior_as, exterior_from
+from . import exact
+from .conventions import CameraAxes, Position, RotationDirection, exterior_from
 from .options import NOTHING, Reading
 from .scene import MANY, Camera, Exchange, Shot, labels_of, named, observations_from, points_from
 from .structure import Line, lines_of
@@ -44,14 +46,20 @@ class _Numbers:
         self.lines, self.path, self.row, self.cell = lines, path, 0, 0
 
     def take(self, count: int) -> np.ndarray:
-        out = np.empty(count)
-        for k in range(count):
+        return np.array([line.float(cell) for line, cell in self._next(count)])
+
+    def decimals(self, count: int) -> list[Decimal]:
+        return [line.decimals(cell, 1)[0] for line, cell in self._next(count)]
+
+    def _next(self, count: int) -> list[tuple[Line, int]]:
+        out = []
+        for _ in range(count):
             while self.row < len(self.lines) and self.cell >= len(self.lines[self.row].cells):
                 self.row, self.cell = self.row + 1, 0
             if self.row >= len(self.lines):
                 last = self.lines[-1] if self.lines else Line(self.path, 1, ())
                 raise last.error("the file ends here, in the middle of an entry")
-            out[k] = self.lines[self.row].float(self.cell)
+            out.append((self.lines[self.row], self.cell))
             self.cell += 1
         return out
 
@@ -71,7 +79,7 @@ def read(path: Path, options: Reading = NOTHING) -> Exchange:
     cameras, points = data.count(1_000_000), data.count()
     table = []
     for _ in range(cameras):
-        lens, r, t = data.take(3), data.take(9).reshape(3, 3), data.take(3)
+        lens, r, t = data.take(3), data.take(9).reshape(3, 3), data.decimals(3)
         table.append((lens, r, t, data.lines[data.row].number))
     xyz, rows = [], []
     for j in range(points):
@@ -165,8 +173,9 @@ def write(scene: Exchange, path: Path) -> tuple[str, ...]:
             out += ["0 0 0"] * 5
             continue
         b = lenses[shot.camera]
-        r, t = exterior_as(shot.exterior, *CONVENTION)
-        out += [" ".join(repr(float(v)) for v in row) for row in ((b.fy, b.k1, b.k2), *r, t)]
+        r = shot.exterior.m
+        out += [" ".join(repr(float(v)) for v in row) for row in ((b.fy, b.k1, b.k2), *r)]
+        out.append(" ".join(map(exact.text, exact.translation(exact.of_matrix(r), shot.exterior.centre))))
     of = scene.observations
     seen: dict[int, list[int]] = {}
     for r, j in enumerate(of.point):
@@ -204,9 +213,9 @@ def write_bal(scene: Exchange, path: Path) -> tuple[str, ...]:
     for i in images:
         shot = scene.shots[i]
         assert shot.exterior is not None and shot.camera is not None
-        r, t = exterior_as(shot.exterior, *CONVENTION)
-        b = lenses[shot.camera]
-        out += [repr(float(v)) for v in (*log(r), *t, b.fy, b.k1, b.k2)]
+        vector, b = log(shot.exterior.m), lenses[shot.camera]
+        t = exact.translation(exact.of_vector(vector), shot.exterior.centre)
+        out += [*(repr(float(v)) for v in vector), *map(exact.text, t), *(repr(float(v)) for v in (b.fy, b.k1, b.k2))]
     out += [repr(float(v)) for j in points for v in p.xyz[j]]
     write_text(path, "\n".join(out) + "\n")
     left = len(scene.shots) - len(images)

@@ -17,15 +17,15 @@ import numpy as np
 from ...cameras.foreign import COLMAP_MODELS, COLMAP_OTHERS, as_colmap, from_colmap
 from ...errors import BadTable, PhotogrammetryError, Unsupported
 from ..files import read_bytes, write_atomic, write_text
+from . import exact
 from .conventions import (
     CameraAxes,
     PixelOrigin,
     Position,
     RotationDirection,
     exterior_as,
-    exterior_from,
+    exterior_of,
     quaternion_as,
-    quaternion_from,
 )
 from .scene import MANY, Camera, Exchange, Shot, labels_of, named, observations_from, points_from
 from .structure import AGAIN, Line, lines_of
@@ -41,7 +41,7 @@ BY_NUMBER = {number: name for name, (number, _) in COLMAP_MODELS.items()}
 class _Image:
     number: int
     q: np.ndarray
-    t: np.ndarray
+    t: exact.Numbers
     camera: int
     name: str
     xy: np.ndarray  # (n, 2) px from the corner
@@ -75,7 +75,7 @@ def _exchange(folder: Path, source: Path, cameras: Mapping[int, Camera], images:
             raise BadTable(f"{source}: image '{image.name}' has camera {image.camera}, which cameras{source.suffix} lacks; "
                            f"{AGAIN}")
         try:
-            exterior = exterior_from(quaternion_from(image.q), image.t, *CONVENTION)
+            exterior = exterior_of(exact.of_quaternion(image.q), image.t, CONVENTION[0])
         except BadTable as error:
             raise BadTable(f"{source}: image '{image.name}': {error}") from None
         shots.append(Shot(name, str(image.camera), exterior, file))
@@ -136,7 +136,7 @@ def _images(path: Path) -> list[_Image]:
         if len(cells.cells) % 3:
             raise cells.error(f"{len(cells.cells)} items, expected X Y POINT3D_ID repeated")
         table = cells.floats(0, len(cells.cells)).reshape(-1, 3)
-        out.append(_Image(line.int(0), line.floats(1, 4), line.floats(5, 3), line.int(8), " ".join(line.cells[9:]), table[:, :2],
+        out.append(_Image(line.int(0), line.floats(1, 4), line.decimals(5, 3), line.int(8), " ".join(line.cells[9:]), table[:, :2],
                           table[:, 2].astype(np.int64)))
     return out
 
@@ -257,14 +257,13 @@ def _rig_sizes(data: _Bytes) -> list[int]:
 
 def write_txt(scene: Exchange, folder: Path) -> tuple[str, ...]:
     """cameras.txt, images.txt, points3D.txt in a folder; returns notes."""
-    parts, notes = _parts(scene)
-    cameras, images, points = parts
+    (cameras, images, points), notes = _parts(scene)
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / "cameras.txt", "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n" + "".join(
         f"{n} {model} {w} {h} {' '.join(map(repr, params))}\n" for n, (model, w, h, params) in cameras.items()))
     text = ["# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME, then POINTS2D[] as (X, Y, POINT3D_ID)"]
     for i in images:
-        pose = " ".join(repr(float(v)) for v in (*i.q, *i.t))
+        pose = " ".join([*(repr(float(v)) for v in i.q), *map(exact.text, i.t)])
         text += [f"{i.number} {pose} {i.camera} {i.name}",
                  " ".join(f"{float(x)!r} {float(y)!r} {p}" for (x, y), p in zip(i.xy, i.points, strict=True))]
     write_text(folder / "images.txt", "\n".join(text) + "\n")
@@ -276,7 +275,7 @@ def write_txt(scene: Exchange, folder: Path) -> tuple[str, ...]:
 
 def write_bin(scene: Exchange, folder: Path) -> tuple[str, ...]:
     """cameras.bin, images.bin, points3D.bin in a folder; returns notes."""
-    (cameras, images, points), notes = _parts(scene)
+    (cameras, images, points), notes = _parts(scene, binary=True)
     folder.mkdir(parents=True, exist_ok=True)
     out = [struct.pack("<Q", len(cameras))]
     for n, (model, w, h, params) in cameras.items():
@@ -299,7 +298,7 @@ def _dump(path: Path, parts: list[bytes]) -> None:
     write_atomic(path, lambda stream: stream.write(b"".join(parts)))
 
 
-def _parts(scene: Exchange) -> tuple[tuple[dict[int, tuple[str, int, int, list[float]]], list[_Image],
+def _parts(scene: Exchange, binary: bool = False) -> tuple[tuple[dict[int, tuple[str, int, int, list[float]]], list[_Image],
                                            dict[int, tuple[np.ndarray, list[tuple[int, int]]]]], tuple[str, ...]]:
     """Cameras, images and points with their numbers. Image names with blanks are refused, COLMAP cannot read them back."""
     notes: list[str] = []
@@ -321,8 +320,10 @@ def _parts(scene: Exchange) -> tuple[tuple[dict[int, tuple[str, int, int, list[f
         ids = np.array([number[int(of.point[r])] for r in rows], np.int64)
         for k, p in enumerate(ids):
             points[int(p)][1].append((i + 1, k))
-        r, t = exterior_as(shot.exterior, *CONVENTION)
-        images.append(_Image(i + 1, quaternion_as(r), t, numbers[shot.camera], label, of.pixel[rows] + CORNER, ids))
+        q = quaternion_as(exterior_as(shot.exterior, CONVENTION[0], CONVENTION[1], Position.CENTRE)[0])
+        q = exact.kept_quaternion(q, shot.exterior.centre) if binary else q
+        t = exact.translation(exact.of_quaternion(q), shot.exterior.centre)
+        images.append(_Image(i + 1, q, t, numbers[shot.camera], label, of.pixel[rows] + CORNER, ids))
     if len(images) < len(scene.shots):
         notes.append(f"{len(scene.shots) - len(images)} images without an orientation are left out")
     return (cameras, images, points), tuple(notes)

@@ -14,6 +14,7 @@ from ...errors import BadTable
 from ...geometry import Exterior
 from ...geometry.rotation import angles as opk_of
 from ...geometry.rotation import closest_rotation, rotation
+from . import exact
 
 
 class CameraAxes(Enum):
@@ -72,7 +73,8 @@ class DistortionDirection(Enum):
 _TO_PHOTO = {CameraAxes.PHOTO: np.eye(3), CameraAxes.VISION: np.diag([1.0, -1.0, -1.0])}
 
 
-def exterior_from(r: np.ndarray, at: np.ndarray, axes: CameraAxes, direction: RotationDirection, position: Position) -> Exterior:
+def exterior_from(r: np.ndarray, at: exact.Numbers, axes: CameraAxes, direction: RotationDirection, position: Position,
+                  ) -> Exterior:
     """Our exterior orientation of another tool's rotation (3, 3) and position (3,).
 
     The rotation is made orthogonal to round-off. Raises BadTable where it is no rotation.
@@ -80,18 +82,26 @@ def exterior_from(r: np.ndarray, at: np.ndarray, axes: CameraAxes, direction: Ro
     r = np.asarray(r, float).reshape(3, 3)
     if not np.isfinite(r).all() or np.abs(r @ r.T - np.eye(3)).max() > 1e-3 or np.linalg.det(r) < 0:
         raise BadTable("its rotation is not one (rows of length 1, at right angles, determinant +1); correct it")
+    if position is Position.TRANSLATION:
+        return exterior_of(exact.of_matrix(r if direction is RotationDirection.OBJECT_TO_CAMERA else r.T), at, axes)
     r = closest_rotation(r)
     r = r if direction is RotationDirection.OBJECT_TO_CAMERA else r.T
-    at = np.asarray(at, float)
-    centre = at if position is Position.CENTRE else -r.T @ at
-    return Exterior(_TO_PHOTO[axes] @ r, centre)
+    return Exterior(_TO_PHOTO[axes] @ r, np.asarray(at, float))
+
+
+def exterior_of(r: exact.Rows, t: exact.Numbers, axes: CameraAxes) -> Exterior:
+    """Our exterior orientation of a rotation object to camera and t = -R C, both with all their digits."""
+    return Exterior(_TO_PHOTO[axes] @ exact.floats(r), exact.centre(r, t))
 
 
 def exterior_as(exterior: Exterior, axes: CameraAxes, direction: RotationDirection, position: Position,
                 ) -> tuple[np.ndarray, np.ndarray]:
     """Rotation (3, 3) and position (3,) as another tool has them: the inverse of `exterior_from`."""
     r = _TO_PHOTO[axes] @ exterior.m
-    at = exterior.centre if position is Position.CENTRE else -r @ exterior.centre
+    if position is Position.TRANSLATION:
+        at = np.array([float(v) for v in exact.translation(exact.of_matrix(r), exterior.centre)])
+    else:
+        at = exterior.centre
     return (r if direction is RotationDirection.OBJECT_TO_CAMERA else r.T), at
 
 
@@ -118,20 +128,8 @@ def angles_as(m: np.ndarray, order: AngleOrder, unit: AngleUnit) -> np.ndarray:
     return np.array([phi if order is AngleOrder.POK else -phi, omega, kappa]) / unit.value
 
 
-def quaternion_from(q: np.ndarray) -> np.ndarray:
-    """Rotation (3, 3) of a quaternion (w, x, y, z), Hamilton's, of any length. Raises BadTable for zero."""
-    q = np.asarray(q, float)
-    length = np.linalg.norm(q)
-    if not np.isfinite(length) or length < 1e-9:
-        raise BadTable("its quaternion has no length; correct it")
-    w, x, y, z = q / length
-    return np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                     [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                     [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]])
-
-
 def quaternion_as(r: np.ndarray) -> np.ndarray:
-    """(w, x, y, z), w >= 0, of a rotation (3, 3): the inverse of `quaternion_from` (Shepperd 1978)."""
+    """(w, x, y, z), w >= 0, of a rotation (3, 3): the inverse of `exact.of_quaternion` (Shepperd 1978)."""
     t = np.trace(r)
     vee = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])
     outer = np.empty((4, 4))

@@ -17,7 +17,8 @@ from ...errors import PhotogrammetryError, Unsupported
 from ...geometry import Exterior, exp
 from ..crs import transformed, utm_zone
 from ..geocentric import axes_at, from_geocentric, to_geocentric
-from .conventions import CameraAxes, Position, RotationDirection, exterior_from
+from . import exact
+from .conventions import CameraAxes, Position, RotationDirection, exterior_from, exterior_of
 from .options import NOTHING, Reading
 from .scene import Camera, Exchange, Shot, named, no_observations, points_from
 from .structure import Item, read_json
@@ -82,7 +83,7 @@ def camera_of(c: Item) -> Camera:
 
 def _pose(shot: Item) -> Exterior:
     r, t = shot.get("rotation").numbers(3), shot.get("translation").numbers(3)
-    return exterior_from(exp(r), t, *CONVENTION)
+    return exterior_of(exact.of_vector(r), t, CONVENTION[0])
 
 
 def _reference(part: Item, path: Path, options: Reading) -> tuple[str, tuple[str, np.ndarray] | None, tuple[str, ...]]:

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -237,6 +238,11 @@ class Line:
     def floats(self, start: int, count: int) -> np.ndarray:
         """(count,) numbers from a cell on."""
         return np.array([self.float(i) for i in range(start, start + count)])
+
+    def decimals(self, start: int, count: int) -> list[Decimal]:
+        """(count,) numbers from a cell on, with all their digits."""
+        self.floats(start, count)  # says what is wrong with them
+        return [Decimal(self.cells[i]) for i in range(start, start + count)]
 
     def int(self, i: int, lowest: int = 0) -> int:
         """A whole number."""
