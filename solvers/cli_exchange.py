@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
 from typing import Any
 
-from .cli_parts import add_command, coordinate_options, emit, number
+from .cli_parts import add_command, coordinate_options, emit, mapping_options, number, show_mappings, teller
 
 
 def add(commands: Any) -> None:
@@ -27,7 +28,7 @@ def add(commands: Any) -> None:
     convert.add_argument("--matrix", choices=("photo-to-object", "object-to-photo"), help="what the matrices of a PATB file turn "
                                                                                           "into what")
     convert.add_argument("--size", type=_size, metavar="W,H", help="width and height of the photos, where IN does not say")
-    convert.add_argument("--map", metavar="MAP", help="columns of a table: name=ID,X=East,Y=North,Z=H[,image=..,col=..,row=..]")
+    mapping_options(convert)
     convert.add_argument("--pixel-origin", choices=("center", "corner"), help="what pixel (0, 0) of a table is, of the top-left "
                                                                               "pixel")
     convert.add_argument("--camera", metavar="FILE", help="calibration for images that have none")
@@ -55,16 +56,20 @@ def _convert(args: argparse.Namespace) -> int:
 
     if args.list:
         return _list(args)
+    reading = Reading(None, args.angles, args.angle_unit, args.size, args.map, args.pixel_origin, args.matrix)
+    if args.show_mapping and args.input is not None:
+        return show_mappings(args, [args.input], args.source, replace(reading, crs=args.crs))
     if args.input is None or args.output is None:
         print("collinea: convert takes IN and OUT; see collinea convert --help, or collinea convert --list", file=sys.stderr)
         return 2
-    reading = Reading(None, args.angles, args.angle_unit, args.size, args.map, args.pixel_origin, args.matrix)
     wanted = Wanted(source=args.source, target=args.target, crs=args.crs, to_crs=args.to_crs, swap_xy=args.swap_xy,
                     unit=args.unit,
                     height_unit=args.height_unit, reading=reading, camera=args.camera, photos=args.photos,
                     orientations=args.orientations, lines=args.lines, dem=args.dem, z=args.z, image=args.image)
-    done = convert(args.input, args.output, wanted, _asker())
-    text = "\n".join([f"{args.input}: {done.source}, {done.summary}", *done.notes, f"{done.out}: {done.target}"])
+    ask = _asker()
+    done = convert(args.input, args.output, wanted, ask, None if ask else teller(args))
+    notes = [n for n in done.notes if not n.startswith("columns: ")]  # they were shown
+    text = "\n".join([f"{args.input}: {done.source}, {done.summary}", *notes, f"{done.out}: {done.target}"])
     return emit(args, done.to_json(), text)
 
 

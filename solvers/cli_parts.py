@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -43,6 +43,31 @@ def coordinate_options(command: Parser) -> None:
     command.add_argument("--angles", choices=("opk", "pok", "pok-left"),
                          help="order of its angles: omega phi kappa, phi omega kappa, or that with phi counted the other way")
     command.add_argument("--angle-unit", choices=("deg", "gon", "rad"), help="unit of its angles")
+
+
+def mapping_options(command: Parser) -> None:
+    """Columns of a table: said by a person, or only shown."""
+    command.add_argument("--map", metavar="MAP", help="columns of a table by name or number: "
+                                                      "name=ID,X=East,Y=North,Z=H[,image=..,col=..,row=..], or "
+                                                      "image=..,X=..,Y=..,Z=..,omega=..,phi=..,kappa=..")
+    command.add_argument("--show-mapping", action="store_true",
+                         help="only show which column would be read as what, and stop: nothing is written")
+
+
+def teller(args: argparse.Namespace) -> Callable[[str], None] | None:
+    """Says how a table is read before it is used: on standard output, or standard error where that is JSON's."""
+    if args.quiet:
+        return None
+    return lambda text: print(text, file=sys.stderr if args.json == "-" else sys.stdout, flush=True)
+
+
+def show_mappings(args: argparse.Namespace, files: Sequence[str | Path], name: str | None, reading: Any) -> int:
+    """Shows how files would be read."""
+    from .workflows_exchange import show_mapping
+
+    shown = [show_mapping(f, name, reading) for f in files]
+    return emit(args, [s.to_json() for s in shown], "\n".join(
+        f"{s.path}: {s.format}, {s.columns or 'a format without columns to choose'}" for s in shown))
 
 
 def emit(args: argparse.Namespace, value: Any, text: str) -> int:

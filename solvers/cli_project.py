@@ -8,7 +8,19 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from .cli_parts import PROG, Parser, add_command, coordinate_options, count, emit, number_or_text, positive
+from .cli_parts import (
+    PROG,
+    Parser,
+    add_command,
+    coordinate_options,
+    count,
+    emit,
+    mapping_options,
+    number_or_text,
+    positive,
+    show_mappings,
+    teller,
+)
 
 SIMULATIONS = ("uav_cluster", "ono_stereo", "ono_triplet", "field_long_range", "uav_block", "calibration_plate", "cliff_epochs")
 
@@ -23,9 +35,8 @@ def add(commands: Any) -> None:
                       help="photos (or folders of photos), and a list of control points, a calibration, orientations or "
                            "positions in any "
                            "format that convert reads")
-    init.add_argument("-o", "--output", required=True, metavar="PROJECT", help="folder of the new project")
-    init.add_argument("--map", metavar="MAP",
-                      help="columns of the list by name or number: name=ID,X=East,Y=North,Z=H[,image=..,col=..,row=..]")
+    init.add_argument("-o", "--output", metavar="PROJECT", help="folder of the new project")
+    mapping_options(init)
     init.add_argument("--crs", help="coordinate system of the project: EPSG code or compound code, WKT, a .prj file, or local")
     init.add_argument("--control-format", metavar="FORMAT",
                       help="format of the list where it is not found out, such as gcp-pix4dmatic (collinea convert --list)")
@@ -96,17 +107,35 @@ def _open_viewer(args: argparse.Namespace, folder: Path) -> int:
 def _init(args: argparse.Namespace) -> int:
     from .workflows import init_project
 
+    if args.show_mapping:
+        return _show_mapping(args)
+    if args.output is None:
+        print(f"{PROG}: init wants a folder for the new project; give -o PROJECT; see {PROG} init --help", file=sys.stderr)
+        return 2
     ask = ask_at_terminal()
     made = init_project(args.files, args.output, mapping=args.map,
                         control_format=args.control_format, project_crs=args.crs, control_crs=args.control_crs,
                         swap_xy=args.swap_xy, unit=args.unit, height_unit=args.height_unit, pixel_origin=args.pixel_origin,
                         pixel_um=args.pixel_um, c_mm=args.c_mm, undulation=args.undulation, angles=args.angles,
-                        angle_unit=args.angle_unit, ask=ask)
+                        angle_unit=args.angle_unit, ask=ask, tell=None if ask else teller(args))
     block = made.block
-    text = "\n".join([*made.notes, f"{made.folder}: {len(block.images)} images, {len(block.points)} points, "
+    notes = [n for n in made.notes if not n.startswith("columns: ")]  # they were shown
+    text = "\n".join([*notes, f"{made.folder}: {len(block.images)} images, {len(block.points)} points, "
                                    f"{len(block.observations)} observations in {block.crs}",
                       f"next: {PROG} view {made.folder}"])
     return emit(args, made.to_json(), text)
+
+
+def _show_mapping(args: argparse.Namespace) -> int:
+    from .errors import BadProject
+    from .io.exchange.options import Reading
+    from .io.photos import EXTENSIONS
+
+    lists = [f for f in args.files if not Path(f).is_dir() and Path(f).suffix.lower() not in EXTENSIONS]
+    if not lists:
+        raise BadProject("--show-mapping: there is no list among the files; name one")
+    reading = Reading(args.control_crs or args.crs, args.angles, args.angle_unit, None, args.map, args.pixel_origin)
+    return show_mappings(args, lists, args.control_format, reading)
 
 
 def _simulate(args: argparse.Namespace) -> int:

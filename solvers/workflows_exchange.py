@@ -17,6 +17,7 @@ from .io.exchange import drawing, registry
 from .io.exchange import project as projects
 from .io.exchange.options import NOTHING, Reading
 from .io.exchange.scene import Exchange
+from .io.sniff import Tell
 from .io.whereabouts import Reading as Place
 from .io.whereabouts import mistaken
 from .orientation import Known, footprint, footprints_geojson, monoplot
@@ -74,8 +75,34 @@ PLAIN = Wanted()
 """Nothing special."""
 
 
-def convert(source: Path | str, out: Path | str, wanted: Wanted = PLAIN, ask: Ask | None = None) -> Converted:
-    """Read `source`, write `out`. Raises PhotogrammetryError; a file is written whole or not at all."""
+class Shown(NamedTuple):
+    """How a file would be read: its format by name, and the columns of a table in words, None for a file that is none."""
+
+    path: Path
+    format: str
+    columns: str | None
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs."""
+        return {"file": str(self.path), "format": self.format, "columns": self.columns}
+
+
+def show_mapping(source: Path | str, name: str | None = None, reading: Reading = NOTHING) -> Shown:
+    """How a file would be read, nothing is written. Raises PhotogrammetryError where that is unclear."""
+    source, told = Path(source), []
+    found = name or registry.of_mapping(registry.sniff(source), reading.mapping)
+    try:
+        registry.read(source, found, replace(reading, tell=told.append))
+    except PhotogrammetryError:
+        if not told:
+            raise
+    return Shown(source, found, told[0].removeprefix(f"{source}: ") if told else None)
+
+
+def convert(source: Path | str, out: Path | str, wanted: Wanted = PLAIN, ask: Ask | None = None, tell: Tell | None = None,
+            ) -> Converted:
+    """Read `source`, write `out`. Raises PhotogrammetryError; a file is written whole or not at all. tell: is shown the
+    columns of a table before they are used."""
     source, out = Path(source), Path(out)
     target = wanted.target or target_of(out)
     if not out.resolve().parent.is_dir():
@@ -83,7 +110,7 @@ def convert(source: Path | str, out: Path | str, wanted: Wanted = PLAIN, ask: As
     if target == "world" and source.suffix.lower() in (".tif", ".tiff") and wanted.image is None and source.is_file():
         return _world_of_raster(source, out)
     project = (source / "project.toml").is_file()
-    scene, block, known = _of_project(source, wanted) if project else (_of_file(source, wanted, ask), None, ())
+    scene, block, known = _of_project(source, wanted) if project else (_of_file(source, wanted, ask, tell), None, ())
     scene = _with_camera(scene, wanted)
     if target == "project":
         return _to_project(scene, out, wanted)
@@ -129,10 +156,10 @@ def _of_project(folder: Path, wanted: Wanted) -> tuple[Exchange, Block, tuple[Kn
     return scene, found.block, found.known
 
 
-def _of_file(source: Path, wanted: Wanted, ask: Ask | None) -> Exchange:
+def _of_file(source: Path, wanted: Wanted, ask: Ask | None, tell: Tell | None) -> Exchange:
     """A file in metres, checked against the photos where there are some."""
     said = crs.short_crs(wanted.crs, metric=False) if wanted.crs else None
-    scene = registry.read(source, wanted.source, replace(wanted.reading, crs=said, ask=ask))
+    scene = registry.read(source, wanted.source, replace(wanted.reading, crs=said, ask=ask, tell=tell))
     shown = [n for n in scene.notes if n.startswith("columns: ")]
     if ask is not None and shown and ask(f"{shown[0]}\nIs this right? [yes] ").strip().lower() not in ("", "y", "yes"):
         raise BadProject("nothing was written; say which columns they are with --map")

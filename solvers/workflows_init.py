@@ -18,6 +18,7 @@ from .io.exchange import project as projects
 from .io.exchange import registry
 from .io.exchange.options import Reading
 from .io.exchange.scene import Exchange
+from .io.sniff import Tell
 from .io.surface import find_geoid, read_surface
 from .io.whereabouts import Mistake, mistaken
 from .io.whereabouts import Reading as Place
@@ -71,17 +72,18 @@ class Beside(NamedTuple):
     orientations: Exchange | None
 
 
-def init_project(files: Sequence[Path | str], folder: Path | str, *, ask: Ask | None = None, **options: Any) -> Initialised:
+def init_project(files: Sequence[Path | str], folder: Path | str, *, ask: Ask | None = None,
+                 tell: Tell | None = None, **options: Any) -> Initialised:
     """Make a project folder from photos and, if there are some, a list of control points and files of other tools.
 
     options: as in `Given`. ask: puts a question to a person when something is unclear; without it unclear input is refused with
-    the cure.
+    the cure. tell: is shown the columns of tables before they are used.
     """
     folder, given = Path(folder), Given(**options)
     must_be_free(folder)
     photos, tables = assemble.sort_files([Path(f) for f in files])
     exifs = [read_exif(photo) for photo in photos]
-    beside = _beside(tables, given, exifs, ask)
+    beside = _beside(tables, given, exifs, ask, tell)
     cameras, camera_of, notes = _cameras(photos, exifs, beside.calibration, given)
     control = beside.control
     chosen, xyz, said = _choose_crs(control, exifs, given, ask)
@@ -104,19 +106,18 @@ def init_project(files: Sequence[Path | str], folder: Path | str, *, ask: Ask | 
 # -- files beside the photos ------------------------------------------------------------------------------------------------
 
 
-def _beside(tables: Sequence[Path], given: Given, exifs: Sequence[Exif], ask: Ask | None) -> Beside:
+def _beside(tables: Sequence[Path], given: Given, exifs: Sequence[Exif], ask: Ask | None, tell: Tell | None) -> Beside:
     """Each file read as what it is; two of one kind are refused."""
     found: dict[str, tuple[Path, Any]] = {}
     origin = None
     size = (exifs[0].width, exifs[0].height) if exifs else None
     for table in tables:
         name = given.control_format if given.control_format and table == _list_of(tables) else registry.sniff(table)
-        name = "gcp" if given.mapping and name in ("gcp", "geo", "opk", "patb", "bal") else name
+        name = registry.of_mapping(name, given.mapping)
         options = Reading(given.control_crs or given.project_crs, given.angles, given.angle_unit, size, given.mapping,
-                          given.pixel_origin,
-                          None, ask)
+                          given.pixel_origin, None, ask, tell)
         if name in ("gcp", "gcp-odm"):
-            kind, value = "control", read_control(table, given.mapping, ask)
+            kind, value = "control", read_control(table, given.mapping, ask, tell)
         else:
             scene = registry.read(table, name, options)
             kind = "control" if len(scene.points) and not scene.oriented else \

@@ -52,7 +52,8 @@ def read_bal(path: Path | str) -> Block:
     lenses = {name: Unsided(f, k1=k1, k2=k2, pixel_mm=1.0, width=width, height=height)
               for name, (f, k1, k2) in zip(names, cameras[:, 6:].tolist(), strict=True)}
     at = 3 + 4 * o + PER_CAMERA * np.arange(m)
-    images = tuple(Image(name, name, None, _prior(row, words[k + 3:k + 6])) for name, row, k in zip(names, cameras, at, strict=True))
+    images = tuple(Image(name, name, None, _prior(row, words[k + 3:k + 6]))
+                   for name, row, k in zip(names, cameras, at, strict=True))
     points = Points(tuple(f"{j:06d}" for j in range(n)), xyz, np.full((n, 3), np.nan), ("tie",) * n)
     pixel = rows[:, 2:] * [1, -1] + [(width - 1) / 2, (height - 1) / 2]
     return Block(path.stem, "local", lenses, images, points, Observations(image, point, pixel, np.ones(o)), image_px=1.0)

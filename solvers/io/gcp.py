@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import BadTable
-from .sniff import DELIMITERS, Sheet, read_sheet, read_text
+from .sniff import DELIMITERS, Sheet, Tell, column_index, mapped_columns, mapping_shown, read_sheet, read_text
 from .tables import Row
 
 FIELDS = ("name", "X", "Y", "Z", "sX", "sY", "sZ", "role", "image", "col", "row", "sigma")
@@ -62,11 +62,12 @@ class ControlList:
     notes: tuple[str, ...] = ()
 
 
-def read_control(path: Path | str, mapping: str | None = None, ask: Ask | None = None) -> ControlList:
+def read_control(path: Path | str, mapping: str | None = None, ask: Ask | None = None, tell: Tell | None = None) -> ControlList:
     """Control points of an ODM gcp_list.txt or of a table with any delimiter, decimal sign, encoding and order of columns.
 
     mapping: "name=ID,X=East,..." by header names or column numbers from 1. ask: how to put a question when the columns are
-    unclear; without it an unclear table is refused. Raises BadTable with the cure.
+    unclear; without it an unclear table is refused. tell: is shown the columns before they are used. Raises BadTable with the
+    cure.
     """
     path = Path(path)
     lines = (line.strip() for line in read_text(path).splitlines())
@@ -75,6 +76,8 @@ def read_control(path: Path | str, mapping: str | None = None, ask: Ask | None =
         return _read_odm(path, first)
     sheet = read_sheet(path)
     columns = _mapped(sheet, mapping) if mapping else _columns(sheet, ask)
+    if tell is not None:
+        tell(f"{path}: {_shown(sheet, columns)}")
     return _from_sheet(sheet, columns)
 
 
@@ -173,18 +176,10 @@ def _asked(sheet: Sheet, field: str, ask: Ask) -> int:
     for _ in range(3):
         answer = ask(f"{shown}\nWhich column is {field}? ").strip()
         try:
-            return _index(sheet, answer)
+            return column_index(sheet, answer)
         except KeyError:
             continue
     raise BadTable(f"{sheet.path}: no column was chosen for {field}; give --map \"{field}=COLUMN,...\"")
-
-
-def _index(sheet: Sheet, text: str) -> int:
-    if sheet.header and text in sheet.header:
-        return sheet.header.index(text)
-    if text.isascii() and text.isdigit() and 1 <= int(text) <= sheet.width:
-        return int(text) - 1
-    raise KeyError(text)
 
 
 def _example(sheet: Sheet, found: Mapping[str, Sequence[int]]) -> str:
@@ -196,21 +191,8 @@ def _example(sheet: Sheet, found: Mapping[str, Sequence[int]]) -> str:
 
 
 def _mapped(sheet: Sheet, mapping: str) -> dict[str, int]:
-    columns: dict[str, int] = {}
-    for part in mapping.split(","):
-        field, _, name = (p.strip() for p in part.partition("="))
-        if field not in FIELDS:
-            raise BadTable(f"--map {mapping}: '{field}' is not a column of a project; choose from {', '.join(FIELDS)}")
-        try:
-            columns[field] = _index(sheet, name)
-        except KeyError:
-            there = ", ".join(sheet.header) if sheet.header else f"the numbers 1 to {sheet.width}"
-            raise BadTable(f"--map {mapping}: {sheet.path} has no column '{name}'; choose from {there}") from None
-    missing = [f for f in ("name", "X", "Y", "Z") if f not in columns]
-    missing += [f for f in ("image", "col", "row") if f not in columns and {"image", "col", "row"} & set(columns)]
-    if missing:
-        raise BadTable(f"--map {mapping}: {missing[0]} is missing; add {missing[0]}=COLUMN")
-    return columns
+    measured = {p.partition("=")[0].strip() for p in mapping.split(",")} & {"image", "col", "row"}
+    return mapped_columns(sheet, mapping, FIELDS, ("name", "X", "Y", "Z", *(("image", "col", "row") if measured else ())))
 
 
 def _from_sheet(sheet: Sheet, columns: Mapping[str, int]) -> ControlList:
@@ -243,6 +225,5 @@ def _sheet_crs(sheet: Sheet, columns: Mapping[str, int]) -> str | None:
 
 
 def _shown(sheet: Sheet, columns: Mapping[str, int]) -> str:
-    names = ", ".join(f"{f} = {sheet.header[i] if sheet.header else i + 1}" for f, i in columns.items())
-    decimal = ", decimal commas" if sheet.decimal_comma else ""
-    return f"columns: {names} (separated by {DELIMITERS[sheet.delimiter]}{decimal})"
+    how = f"separated by {DELIMITERS[sheet.delimiter]}{', decimal commas' if sheet.decimal_comma else ''}"
+    return mapping_shown(columns, sheet.header, sheet.lines[0][1], how)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import codecs
 import csv
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,6 +43,48 @@ class Sheet:
     def _number(self, cell: str) -> str:
         changed = cell.replace(",", ".")
         return changed if self.decimal_comma and NUMBER.fullmatch(changed) else cell
+
+
+Tell = Callable[[str], None]
+"""Shows a person how a table is read, before it is."""
+
+
+def mapping_shown(columns: Mapping[str, int], header: Sequence[str] | None, first: Sequence[str], how: str = "",
+                  also: Sequence[int] = ()) -> str:
+    """Which column is read as what, with the first line's value, and which are not read. also: columns read without a word."""
+    named = ", ".join(f"{k} = {header[i] if header else f'column {i + 1}'} ({first[i][:24]})" for k, i in columns.items()
+                      if i < len(first))
+    left = [header[i] if header else str(i + 1) for i in range(len(first)) 
+            if i not in columns.values() and i not in also and (not header or header[i])]
+    unused = f"; not read: {', '.join(left[:12])}{' ...' if len(left) > 12 else ''}" if left else ""
+    return f"columns: {named}{unused}{f' ({how})' if how else ''}"
+
+
+def mapped_columns(sheet: Sheet, mapping: str, fields: Sequence[str], needed: Sequence[str]) -> dict[str, int]:
+    """Columns of "name=ID,X=East,...", by header or number from 1. Raises BadTable naming what is wrong and what there is."""
+    columns: dict[str, int] = {}
+    for part in mapping.split(","):
+        field, _, name = (p.strip() for p in part.partition("="))
+        if field not in fields:
+            raise BadTable(f"--map {mapping}: '{field}' is not a column of a project; choose from {', '.join(fields)}")
+        try:
+            columns[field] = column_index(sheet, name)
+        except KeyError:
+            there = ", ".join(sheet.header) if sheet.header else f"the numbers 1 to {sheet.width}"
+            raise BadTable(f"--map {mapping}: {sheet.path} has no column '{name}'; choose from {there}") from None
+    missing = [f for f in needed if f not in columns]
+    if missing:
+        raise BadTable(f"--map {mapping}: {missing[0]} is missing; add {missing[0]}=COLUMN")
+    return columns
+
+
+def column_index(sheet: Sheet, text: str) -> int:
+    """The column of a header or of a number from 1. Raises KeyError."""
+    if sheet.header and text in sheet.header:
+        return sheet.header.index(text)
+    if text.isascii() and text.isdigit() and 1 <= int(text) <= sheet.width:
+        return int(text) - 1
+    raise KeyError(text)
 
 
 def read_text(path: Path) -> str:

@@ -13,6 +13,7 @@ from ..geometry import FlightLog, Onboard
 from .crs import is_geographic, transformed
 from .files import decode_utf8, read_bytes
 from .metadata import clock
+from .sniff import Tell, mapping_shown
 
 ALIASES = {
     "image": ("image", "img", "photo", "file", "filename", "name", "label"),
@@ -59,10 +60,11 @@ def read_mrk(path: Path | str, images: Sequence[str], ppk: bool = False) -> list
             for name, (lat, lon, h, s, t) in zip(images, rows, strict=True)]
 
 
-def read_positions(path: Path | str) -> list[Onboard]:
+def read_positions(path: Path | str, tell: Tell | None = None) -> list[Onboard]:
     """One line per photo: a table with named columns (image, lat, lon, height, yaw, pitch, roll ...), or OpenDroneMap's geo.txt.
 
-    Latitudes and longitudes may be degrees or degrees, minutes, seconds. Yaw, pitch, roll are of a nadir mount. Raises BadTable.
+    Latitudes and longitudes may be degrees or degrees, minutes, seconds. Yaw, pitch, roll are of a nadir mount. tell:
+    is shown the columns before they are used. Raises BadTable.
     """
     path = Path(path)
     lines = _lines(path)
@@ -72,6 +74,8 @@ def read_positions(path: Path | str) -> list[Onboard]:
     if re.match(r"(?i)\s*(epsg:|\+proj|wgs84\s+utm)", first):
         return _geo_txt(path, first.strip(), lines[1:])
     header, rows = _named(path, lines, ("image", "lat", "lon"))
+    if tell is not None and rows:
+        tell(f"{path}: {mapping_shown(header, _cells(lines[0][1][0]), rows[0][1])}")
     return [_onboard(path, line, header, cells) for line, cells in rows]
 
 

@@ -526,8 +526,9 @@ def match_batch(template, target, at, start, shape, half, taps, extra, noise, li
         result[9] = variance * (a11 * a11 * q_xx + 2 * a11 * a12 * q_xy + a12 * a12 * q_yy)
         result[10] = variance * (a11 * a21 * q_xx + (a11 * a22 + a12 * a21) * q_xy + a12 * a22 * q_yy)
         result[11] = variance * (a21 * a21 * q_xx + 2 * a21 * a22 * q_xy + a22 * a22 * q_yy)
-        worst = 0.5 * (result[9] + result[11]) + math.hypot(0.5 * (result[9] - result[11]), result[10])
-        result[15] = OK if worst < limits[2] * limits[2] else UNCERTAIN
+        middle, gap = 0.5 * (result[9] + result[11]), math.hypot(0.5 * (result[9] - result[11]), result[10])
+        # Where noise has nearly the slope of the texture, what is taken off for it leaves no covariance at all.
+        result[15] = OK if middle - gap > 0 and middle + gap < limits[2] * limits[2] else UNCERTAIN
 
 
 @helper

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -93,7 +94,6 @@ def test_orientations_in_a_mapped_crs_survive_a_project(tmp_path: Path) -> None:
 
 
 def test_geocentric_blocks_come_home(tmp_path: Path) -> None:
-    from dataclasses import replace
 
     from solvers.io.geocentric import to_geocentric
 
@@ -118,7 +118,6 @@ def photo(path: Path, size: tuple[int, int] = (547, 365)) -> Path:
 
 
 def test_init_takes_calibration_orientations_and_control_of_any_format(tmp_path: Path) -> None:
-    from dataclasses import replace
 
     truth = replace(scene(crs="EPSG:32632"), cameras={"lens": replace(FULL, fx=371.0, fy=371.0, cx=272.5, cy=181.0, width=547,
                                                                       height=365)})
@@ -186,7 +185,6 @@ def test_drawings_on_level_ground(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert shot.exterior is not None
     local = Exterior(shot.exterior.m @ projects.turn("EPSG:32632", frame, shot.exterior.centre),
                      frame.to_local(shot.exterior.centre))
-    from dataclasses import replace
 
     seen = pixels_of(OURS, replace(shot, exterior=local), frame.to_local(roof))
     np.testing.assert_allclose(seen, [[1000, 1000], [3000, 2000], [4000, 2500]], atol=1e-3)
@@ -203,3 +201,48 @@ def test_a_list_of_formats(capsys: pytest.CaptureFixture[str]) -> None:
     page = (Path(__file__).parent.parent.parent / "docs" / "formats.md").read_text(encoding="utf-8")
     assert not [k for k in listed if k not in page]
     assert main(["convert"]) == 2
+
+
+LIST = "Punkt;Bemerkung;Hochwert;Rechtswert;Hoehe\n7;x;5334100,25;684210,5;412,1\n8;y;5334180,5;684310,7;abc\n"
+
+
+def test_columns_are_shown_before_they_are_used(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "g.csv").write_text(LIST)  # one of its heights is no number
+    words = ["convert", str(tmp_path / "g.csv"), str(tmp_path / "o.geojson"), "--to", "gcp-geojson", "--crs", "EPSG:25832"]
+    assert main(words) == 1 and not (tmp_path / "o.geojson").exists()
+    shown, wrong = capsys.readouterr()
+    assert "X = Rechtswert (684210,5), Y = Hochwert (5334100,25)" in shown and "not read: Bemerkung" in shown
+    assert "line 3" in wrong and len(wrong.splitlines()) == 1
+    assert main([*words, "--quiet"]) == 1 and capsys.readouterr().out == ""
+    (tmp_path / "g.csv").write_text(LIST.replace("abc", "418"))
+    assert main(words) == 0 and capsys.readouterr().out.count("columns: ") == 1
+    assert main([*words, "--json", "-"]) == 0
+    out, err = capsys.readouterr()
+    assert "columns: name = Punkt" in err and any(n.startswith("columns: ") for n in json.loads(out)["notes"])
+
+
+def test_columns_are_only_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "g.csv").write_text(LIST.replace("abc", "418"))
+    (tmp_path / "o.csv").write_text("photo,East,North,H,omega,phi,kappa\na.jpg,1,2,3,0,0,90\n")
+    (tmp_path / "f.csv").write_text("file;latitude;longitude;altitude\na.jpg;48.1;11.5;500\n")
+    before = sorted(tmp_path.iterdir())
+    for name, says in (("g.csv", "gcp, columns: name = Punkt (7)"),
+                       ("o.csv", "opk, columns: image = photo (a.jpg), X = East (1)"),
+                       ("f.csv", "geo, columns: image = file (a.jpg), lat = latitude (48.1)")):
+        assert main(["convert", str(tmp_path / name), "--show-mapping"]) == 0
+        assert says in capsys.readouterr().out
+    assert main(["init", str(tmp_path / "g.csv"), "--show-mapping", "--map", "name=Punkt,X=4,Y=3,Z=5", "--json", "-"]) == 0
+    assert "X = Rechtswert" in json.loads(capsys.readouterr().out)[0]["columns"]
+    assert main(["init", str(tmp_path / "g.csv")]) == 2 and "-o PROJECT" in capsys.readouterr().err
+    (tmp_path / "n.txt").write_text("A 684210.5 5334100.25 412\nB 684310.5 5334180 418\n")
+    assert main(["convert", str(tmp_path / "n.txt"), "--show-mapping"]) == 1
+    assert "no header line); say which they are with --map" in capsys.readouterr().err
+    assert sorted(p for p in tmp_path.iterdir() if p.name != "n.txt") == before
+
+
+def test_columns_of_orientations_are_said_or_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "o.csv").write_text("photo,E,Easting,N,H,omega,phi,kappa\na.jpg,1,684210,5334100,3,0,0,90\n")
+    words = ["convert", str(tmp_path / "o.csv"), str(tmp_path / "o.txt"), "--to", "opk-pix4d", "--crs", "local"]
+    assert main(words) == 1 and "for X there is 'E' and 'Easting'" in capsys.readouterr().err
+    assert main([*words, "--map", "image=photo,X=Easting,Y=N,Z=H,omega=omega,phi=phi,kappa=kappa"]) == 0
+    assert (tmp_path / "o.txt").read_text().splitlines()[1].split()[1] == "684210.0"

@@ -2,14 +2,17 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from solvers.errors import Unsupported
 from solvers.matching import LsmOptions, Status, match_lsm, match_ncc, prepare
 
+DEMO = Path(__file__).parents[2] / "assets" / "demo" / "images"
 SHAPE = np.array([[1.03, 0.05], [-0.04, 0.98]])
 
 
@@ -186,3 +189,12 @@ def test_photos_prepared_once_threads_and_single_points_give_the_same():
 def test_import_leaves_the_compiler_alone():
     code = "import sys, solvers.matching; print(sorted(set(sys.modules) & {'numba', 'cv2', 'scipy'}))"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
+
+
+def test_a_window_of_nearly_only_noise_is_uncertain_and_no_sigma_is_made_of_it():
+    """A place of two demo photos where the noise of the slopes is nearly all there is: its covariance is not positive."""
+    left, right = (np.asarray(Image.open(DEMO / f"DSC0023{n}.jpg").convert("L")) for n in (0, 2))
+    with np.errstate(invalid="raise", divide="raise"):
+        r = match_lsm(left, right, np.array([[166.1966, 311.6457]]), np.array([[80.2892, 284.4698]]),
+                      shape=np.array([[[0.96968, 0.06174], [-0.04922, 0.9944]]]))
+    assert r.status[0] == Status.UNCERTAIN and np.isnan(r.sigma).all()

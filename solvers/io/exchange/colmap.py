@@ -136,8 +136,8 @@ def _images(path: Path) -> list[_Image]:
         if len(cells.cells) % 3:
             raise cells.error(f"{len(cells.cells)} items, expected X Y POINT3D_ID repeated")
         table = cells.floats(0, len(cells.cells)).reshape(-1, 3)
-        out.append(_Image(line.int(0), line.floats(1, 4), line.decimals(5, 3), line.int(8), " ".join(line.cells[9:]), table[:, :2],
-                          table[:, 2].astype(np.int64)))
+        out.append(_Image(line.int(0), line.floats(1, 4), line.decimals(5, 3), line.int(8), " ".join(line.cells[9:]),
+                          table[:, :2], table[:, 2].astype(np.int64)))
     return out
 
 
@@ -263,7 +263,7 @@ def write_txt(scene: Exchange, folder: Path) -> tuple[str, ...]:
         f"{n} {model} {w} {h} {' '.join(map(repr, params))}\n" for n, (model, w, h, params) in cameras.items()))
     text = ["# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME, then POINTS2D[] as (X, Y, POINT3D_ID)"]
     for i in images:
-        pose = " ".join([*(repr(float(v)) for v in i.q), *map(exact.text, i.t)])
+        pose = " ".join([*(repr(float(v)) for v in i.q), *map(exact.text, exact.decimals(i.t))])
         text += [f"{i.number} {pose} {i.camera} {i.name}",
                  " ".join(f"{float(x)!r} {float(y)!r} {p}" for (x, y), p in zip(i.xy, i.points, strict=True))]
     write_text(folder / "images.txt", "\n".join(text) + "\n")

@@ -17,7 +17,7 @@ from ...errors import BadTable
 from ..crs import described, is_geographic, north_first, short_crs, transformed
 from ..files import write_json, write_text
 from ..gcp import ControlList, read_control
-from ..sniff import read_sheet, read_text
+from ..sniff import mapping_shown, read_sheet, read_text
 from ..tables import Row
 from .conventions import PixelOrigin
 from .options import NOTHING, Reading
@@ -27,7 +27,7 @@ from .structure import read_json
 
 def read_list(path: Path, options: Reading = NOTHING) -> Exchange:
     """A gcp_list.txt or a table with any delimiter, decimal sign and order of columns; how it was read is in the notes."""
-    return of_control(read_control(path, options.mapping, options.ask), options)
+    return of_control(read_control(path, options.mapping, options.ask, options.tell), options)
 
 
 def of_control(control: ControlList, options: Reading = NOTHING) -> Exchange:
@@ -72,6 +72,8 @@ def read_pix4dmatic(path: Path, options: Reading = NOTHING) -> Exchange:
     swap = north_first(crs)
     keys: dict[str, int] = dict(zip(("name", "Y" if swap else "X", "X" if swap else "Y", "Z", "sH", "sV"), range(sheet.width),
                                     strict=False))
+    if options.tell is not None:
+        options.tell(f"{path}: {mapping_shown(keys, sheet.header, sheet.lines[0][1], f'the axis order of {crs}')}")
     rows = sheet.rows(keys)
     xyz = [[r.required(k, "a coordinate") for k in "XYZ"] for r in rows]
     sigma = [[r.number(k, "an accuracy in metres", lowest=0) for k in ("sH", "sH", "sV")] for r in rows]

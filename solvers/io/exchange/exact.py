@@ -24,7 +24,7 @@ Numbers = Sequence[float] | Sequence[Decimal] | np.ndarray
 def of_quaternion(q: Numbers) -> Rows:
     """The rotation of a quaternion (w, x, y, z), Hamilton's, of any length. Raises BadTable for zero."""
     with localcontext(prec=DIGITS):
-        w, x, y, z = _decimals(q)
+        w, x, y, z = decimals(q)
         square = w * w + x * x + y * y + z * z
         if square < Decimal("1e-18"):
             raise BadTable("its quaternion has no length; correct it")
@@ -37,7 +37,7 @@ def of_quaternion(q: Numbers) -> Rows:
 def of_vector(v: Numbers) -> Rows:
     """The rotation of a rotation vector [rad]: I + sin(a)/a [v] + (1 - cos(a))/a^2 [v]^2, by power series in a^2."""
     with localcontext(prec=DIGITS + 20):
-        x, y, z = _decimals(v)
+        x, y, z = decimals(v)
         square = x * x + y * y + z * z
         if square > 400:
             raise BadTable("its rotation vector is longer than three turns; correct it")
@@ -56,7 +56,7 @@ def of_vector(v: Numbers) -> Rows:
 def of_matrix(m: np.ndarray) -> Rows:
     """The rotation closest to a matrix (3, 3) that is one within 1e-3: R (3 I - R' R) / 2, repeated (Bjorck & Bowie 1971)."""
     with localcontext(prec=DIGITS):
-        r = [_decimals(row) for row in m]
+        r = [decimals(row) for row in m]
         for _ in range(8):
             gram = _product([list(c) for c in zip(*r, strict=True)], r)
             half = [[((3 if i == j else 0) - gram[i][j]) / 2 for j in range(3)] for i in range(3)]
@@ -72,7 +72,7 @@ def floats(r: Rows) -> np.ndarray:
 def translation(r: Rows, centre: Numbers) -> list[Decimal]:
     """t = -R C."""
     with localcontext(prec=DIGITS):
-        c = _decimals(centre)
+        c = decimals(centre)
         return [-sum((a * b for a, b in zip(row, c, strict=True)), Decimal(0)) for row in r]
 
 
@@ -106,5 +106,6 @@ def _product(a: Rows, b: Rows) -> Rows:
     return [[sum((a[i][k] * b[k][j] for k in range(3)), Decimal(0)) for j in range(3)] for i in range(3)]
 
 
-def _decimals(values: Numbers) -> list[Decimal]:
+def decimals(values: Numbers) -> list[Decimal]:
+    """The numbers with all their digits."""
     return [v if isinstance(v, Decimal) else Decimal(float(v)) for v in values]

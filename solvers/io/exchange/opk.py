@@ -17,7 +17,7 @@ from ...errors import BadTable
 from ...geometry import Exterior
 from ..files import write_text
 from ..gcp import ALIASES
-from ..sniff import Sheet, read_sheet, read_text
+from ..sniff import Sheet, mapped_columns, mapping_shown, read_sheet, read_text
 from ..tables import NUMBER
 from .conventions import (
     AngleOrder,
@@ -54,7 +54,9 @@ def read(path: Path, options: Reading = NOTHING) -> Exchange:
     """A table of positions and angles. Raises BadTable, also where unit or order of the angles contradict the file."""
     sheet = read_sheet(path)
     header, unit_said = _header(path, sheet)
-    columns, order_said = _columns(sheet, header)
+    columns, order_said = _chosen(sheet, options.mapping) if options.mapping else _columns(sheet, header)
+    if options.tell is not None:
+        options.tell(f"{path}: {_said(sheet, header, columns)}")
     order = ORDERS[options.angles] if options.angles else order_said
     unit = UNITS[options.unit] if options.unit else unit_said
     rows = sheet.rows(columns)
@@ -119,6 +121,10 @@ def _columns(sheet: Sheet, header: tuple[str, ...] | None) -> tuple[dict[str, in
     columns = {}
     for what, known in wanted.items():
         found = [i for name in known for i, k in enumerate(keys) if k == name]
+        if len(found) > 1 and what in ("X", "Y", "Z", *ANGLES):
+            both = " and ".join(f"'{header[i]}'" for i in found[:3])
+            raise BadTable(f"{sheet.path}: the columns are unclear (for {what} there is {both}); say which they are with --map "
+                           f"image=..,X=..,Y=..,Z=..,omega=..,phi=..,kappa=.. by header name or column number")
         if found:
             columns[what] = found[0]
     missing = [w for w in ("image", "X", "Y", "Z", *ANGLES) if w not in columns]
@@ -167,9 +173,17 @@ def _settled(path: Path, angles: np.ndarray, order: AngleOrder, unit: AngleUnit 
     return order, AngleUnit.DEGREES, (f"angles: {order.name} in degrees (assumed, else give --angles and --angle-unit)",)
 
 
+def _chosen(sheet: Sheet, mapping: str) -> tuple[dict[str, int], AngleOrder]:
+    needed = ("image", "X", "Y", "Z", *ANGLES)
+    columns = mapped_columns(sheet, mapping, (*needed, *SIGMAS), needed)
+    return columns, AngleOrder.OPK if columns["omega"] < columns["phi"] else AngleOrder.POK
+
+
 def _said(sheet: Sheet, header: tuple[str, ...] | None, columns: dict[str, int]) -> str:
-    shown = {k: v for k, v in columns.items() if k not in MATRIX}
-    return "columns: " + ", ".join(f"{k} = {header[i] if header else i + 1}" for k, i in shown.items())
+    named = header if header is not None and len(header) == sheet.width else None
+    parts = {k: v for k, v in columns.items() if k not in MATRIX}
+    return mapping_shown(parts, named, sheet.lines[0][1], "and the rotation matrix" if MATRIX[0] in columns else "",
+                         [columns[m] for m in MATRIX if m in columns])
 
 
 # -- PATB -----------------------------------------------------------------------------------------------------------------

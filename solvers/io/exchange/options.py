@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..gcp import Ask
+from ..sniff import Tell
 from .conventions import AngleOrder, AngleUnit
 
 ORDERS = {"opk": AngleOrder.OPK, "pok": AngleOrder.POK, "pok-left": AngleOrder.POK_LEFT}
@@ -14,7 +15,8 @@ UNITS = {"deg": AngleUnit.DEGREES, "gon": AngleUnit.GON, "rad": AngleUnit.RADIAN
 @dataclass(frozen=True)
 class Reading:
     """crs: of the file's coordinates. angles, unit: of its angles. size: width, height of its photos [px]. mapping: columns of
-    a table. pixel_origin: "center" or "corner". matrix: what a PATB matrix turns. ask: puts a question to a person."""
+    a table. pixel_origin: "center" or "corner". matrix: what a PATB matrix turns. ask: puts a question to a person. tell: shows a
+    person the columns of a table before they are used."""
 
     crs: str | None = None
     angles: str | None = None
@@ -24,6 +26,7 @@ class Reading:
     pixel_origin: str | None = None
     matrix: str | None = None
     ask: Ask | None = None
+    tell: Tell | None = None
 
 
 NOTHING = Reading()

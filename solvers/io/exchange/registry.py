@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import BadTable, PhotogrammetryError
+from ..files import MAX_BYTES
 from ..gcp import is_crs
 from ..photos import EXTENSIONS
 from ..tables import NUMBER
@@ -33,6 +34,7 @@ from . import (
 from .conventions import AngleOrder, AngleUnit
 from .options import NOTHING, Reading
 from .scene import Exchange
+from .structure import AGAIN
 
 Read = Callable[[Path, Reading], Exchange]
 Write = Callable[[Exchange, Path], tuple[str, ...]]
@@ -143,7 +145,8 @@ def read(path: Path | str, name: str | None = None, options: Reading = NOTHING) 
     if name is not None and (name not in FORMATS or FORMATS[name].read is None):
         raise BadTable(f"--from {name}: this format is not read; choose from "
                        f"{', '.join(k for k, f in FORMATS.items() if f.read)}")
-    name = name or sniff(path)
+    name = name or of_mapping(sniff(path), options.mapping)
+    _bounded(path, name)
     reader = FORMATS[name].read
     assert reader is not None
     try:
@@ -160,6 +163,20 @@ def read(path: Path | str, name: str | None = None, options: Reading = NOTHING) 
         raise BadTable(f"{path}: its content is not that of {FORMATS[name].title} ({type(error).__name__}: "
                        f"{' '.join(str(error).split())[:120]}); export it again, or name its format with --from") from None
     return scene if scene.crs or not options.crs else replace(scene, crs=options.crs)
+
+
+def of_mapping(name: str, mapping: str | None) -> str:
+    """The format of a file found out as `name`, when a person says its columns: a table of orientations or of control points."""
+    if mapping is None or name not in ("gcp", "geo", "opk", "patb", "bal"):
+        return name
+    return "opk" if {p.partition("=")[0].strip() for p in mapping.split(",")} & {"omega", "phi", "kappa"} else "gcp"
+
+
+def _bounded(path: Path, name: str) -> None:
+    """Raises BadTable for a file that is too large to be what it should be, before it is read; photos are read by their heads."""
+    size = path.stat().st_size if path.is_file() else 0
+    if size > MAX_BYTES and name not in ("exif", "dewarp"):
+        raise BadTable(f"{path}: the file has {size / 2**20:.0f} MB and at most {MAX_BYTES // 2**20} MB are read; {AGAIN}")
 
 
 def sniff(path: Path) -> str:
