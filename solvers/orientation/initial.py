@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..geometry import Exterior, closest_rotation, skew
+from .steps import improve, parallel
 
 SAME = float(np.radians(0.01))
 """Attitudes closer than this [rad] are one minimum."""
@@ -24,8 +25,7 @@ def recentring(xy: np.ndarray, c: float) -> np.ndarray:
     rays = _rays(xy, c)
     mean = rays.mean(axis=0)
     z = -mean / np.linalg.norm(mean)
-    axis = np.cross(z, [0.0, 0.0, 1.0])  # the smallest turn that brings z to (0, 0, 1)
-    k = skew(axis)
+    k = skew([z[1], -z[0], 0.0])  # the smallest turn that brings z to (0, 0, 1)
     return np.eye(3) + k + k @ k / (1 + z[2])
 
 
@@ -129,51 +129,11 @@ def scaled_orthography(points: np.ndarray, xy: np.ndarray, c: float, updates: in
     mean = points.mean(axis=0)
     reduced = points - mean
     u, s, vt = np.linalg.svd(reduced, full_matrices=False)
-    wanted = [k for k in kinds if k != "affine" or s[2] >= 1e-4 * s[0]]
-    signs = np.array([0.0 if k == "affine" else float(k) for k in wanted])
+    signs = [0.0 if k == "affine" else float(k) for k in kinds if k != "affine" or s[2] >= 1e-4 * s[0]]
     hand = np.array([1.0, 1.0, np.sign(np.linalg.det(vt))])  # the third axis is the plane's normal, right-handed
-    vt, along = vt * hand[:, None], u * hand / np.where(s > 0, s, np.inf)  # principal coordinates over squared extents
-    depth, m, shift = np.ones((len(signs), len(points))), np.zeros((0, 3, 3)), np.zeros((0, 3))
-    for update in range(updates + 1):
-        if not len(signs):
-            break
-        target = xy * (depth / depth.mean(axis=1, keepdims=True))[..., None]
-        t = target.mean(axis=1)
-        block = np.swapaxes(target - t[:, None], 1, 2) @ along  # (k, 2, 3)
-        block[:, :, 2] = np.where(signs[:, None] == 0, block[:, :, 2], signs[:, None] * _third(block))
-        m, scale = poses_of_blocks(block @ vt)
-        with np.errstate(all="ignore"):
-            shift = np.concatenate([t, np.full((len(t), 1), -c)], axis=1) / scale[:, None]
-        depth = -(reduced @ m[:, 2].T).T - shift[:, 2:]
-        good = np.isfinite(m).all(axis=(1, 2)) & (scale > 0)
-        if update < updates:
-            good &= (depth > 0).all(axis=1)
-        signs, depth, m, shift = signs[good], depth[good], m[good], shift[good]
-    return [Exterior(a, mean - a.T @ b) for a, b in zip(m, shift, strict=True)]
-
-
-def _third(block: np.ndarray) -> np.ndarray:
-    """(k, 2) the third components of two rows (k, 2, 3) in the axes of a plane, for one reversal solution (FORMULAS 3.4)."""
-    g1, g2 = block[:, 0, :2], block[:, 1, :2]
-    ab = np.sqrt((g2 * g2).sum(axis=1) - (g1 * g1).sum(axis=1) - 2j * (g1 * g2).sum(axis=1))
-    return np.stack([ab.real, ab.imag], axis=1)
-
-
-def poses_of_blocks(blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """M (k, 3, 3) and scales (k,) of 2x3 blocks (k, 2, 3), as `pose_of_block`; NaN where a block has rank below two."""
-    g = blocks @ np.swapaxes(blocks, 1, 2)
-    a, b, d = g[:, 0, 0], g[:, 0, 1], g[:, 1, 1]
-    with np.errstate(all="ignore"):
-        area = np.sqrt(a * d - b * b)  # product of the singular values; their sum is 2 s
-        both = np.sqrt(a + d + 2 * area)
-        root = np.empty((len(g), 2, 2))  # (B B^T)^(-1/2)
-        root[:, 0, 0], root[:, 1, 1], root[:, 0, 1], root[:, 1, 0] = d + area, a + area, -b, -b
-        root /= (area * both)[:, None, None]
-    m = np.empty((len(blocks), 3, 3))
-    m[:, :2] = root @ blocks  # the closest orthonormal rows
-    (x1, y1, z1), (x2, y2, z2) = m[:, 0].T, m[:, 1].T
-    m[:, 2, 0], m[:, 2, 1], m[:, 2, 2] = y1 * z2 - z1 * y2, z1 * x2 - x1 * z2, x1 * y2 - y1 * x2
-    return m, both / 2
+    along = u * hand / np.where(s > 0, s, np.inf)  # principal coordinates over squared extents
+    found = parallel(reduced, xy, c, along, vt * hand[:, None], signs, updates)
+    return [Exterior(m, mean - m.T @ t) for m, t in found]
 
 
 def planar_block(centred: np.ndarray, u: np.ndarray, s: np.ndarray, vt: np.ndarray, sign: float) -> np.ndarray:
@@ -277,44 +237,14 @@ def refine(points: np.ndarray, xy: np.ndarray, c: float, exteriors: list[Exterio
     """All starts improved together by Levenberg-Marquardt on the ideal coordinates.
 
     Returns orientations and costs (half the sum of squares, unit of c squared) in the given order; the cost of a start
-    with a point behind the camera is inf.
+    with a point behind the camera is inf. From step _PATIENCE on a start still a degree off in the photo and far behind the best
+    is given up: it leads nowhere.
     """
     if not exteriors:
         return [], np.zeros(0)
     m = np.stack([e.m for e in exteriors])
     t = -np.stack([e.m @ e.centre for e in exteriors])  # the camera sees M X + t; the tangent is (t, left rotation vector)
-    damping = np.full(len(m), 1e-4)
-    v, j = _residuals(points, xy, c, m, t)
-    cost = 0.5 * np.einsum("ki,ki->k", v, v)
-    cost[~np.isfinite(cost)] = np.inf
-    live = np.flatnonzero(np.isfinite(cost))
-    v, j = v[live], j[live]
-    eye = np.eye(6)
-    for step in range(steps):
-        if not len(live):
-            break
-        jt = np.swapaxes(j, 1, 2)
-        n, g = jt @ j, (jt @ v[..., None])[..., 0]
-        d = np.sqrt(np.maximum(np.einsum("kii->ki", n), 1e-300))
-        scaled = n / d[:, :, None] / d[:, None, :] + (damping[live, None, None] + 1e-15) * eye
-        dx = np.linalg.solve(scaled, (g / d)[..., None])[..., 0] / d
-        trial_m, trial_t = _turned(dx[:, 3:]) @ m[live], t[live] + dx[:, :3]
-        tv, tj = _residuals(points, xy, c, trial_m, trial_t)
-        tcost = 0.5 * np.einsum("ki,ki->k", tv, tv)
-        better = tcost <= cost[live]
-        won = live[better]
-        m[won], t[won], cost[won] = trial_m[better], trial_t[better], tcost[better]
-        if len(won) == len(live):
-            v, j = tv, tj
-        else:
-            v, j = np.where(better[:, None], tv, v), np.where(better[:, None, None], tj, j)
-        damping[live] = np.where(better, damping[live] * 0.1, np.maximum(damping[live], 1e-9) * 10)
-        dx *= d
-        go = np.sqrt(np.einsum("ki,ki->k", dx, dx)) >= 1e-7 * np.sqrt(cost[live]) + 1e-10 * c
-        if step >= _PATIENCE:  # a start still on its way, a degree off in the photo and far behind the best, leads nowhere
-            go &= cost[live] <= max(0.5 * len(points) * (0.02 * c) ** 2, 4 * cost.min())
-        if not go.all():
-            live, v, j = live[go], v[go], j[go]
+    cost = improve(points, xy, c, m, t, steps, _PATIENCE, 0.5 * len(points) * (0.02 * c) ** 2)
     return [Exterior(a, -a.T @ b) for a, b in zip(m, t, strict=True)], cost
 
 
@@ -326,33 +256,6 @@ def apart(a: Exterior, b: Exterior) -> float:
 def _rays(xy: np.ndarray, c: float) -> np.ndarray:
     v = np.concatenate([xy, np.full((len(xy), 1), -c)], axis=1)
     return v / np.linalg.norm(v, axis=1, keepdims=True)
-
-
-def _residuals(points: np.ndarray, xy: np.ndarray, c: float, m: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals (k, 2n), all x before all y, and Jacobian (k, 2n, 6) by (t, left rotation vector) of k orientations that see
-    M X + t; NaN behind the camera."""
-    arm = m @ points.T  # (k, 3, n)
-    uvw = arm + t[:, :, None]
-    w = np.where(uvw[:, 2] < 0, uvw[:, 2], np.nan)
-    a0, a1, a2 = arm[:, 0], arm[:, 1], arm[:, 2]
-    p = -c / w
-    x, y = p * uvw[:, 0], p * uvw[:, 1]
-    qx, qy = -x / w, -y / w
-    k, n = w.shape
-    j = np.zeros((k, 2, n, 6))
-    j[:, 0, :, 0] = j[:, 1, :, 1] = p
-    j[:, 0, :, 2], j[:, 1, :, 2] = qx, qy
-    j[:, 0, :, 3], j[:, 0, :, 4], j[:, 0, :, 5] = a1 * qx, a2 * p - a0 * qx, -a1 * p
-    j[:, 1, :, 3], j[:, 1, :, 4], j[:, 1, :, 5] = a1 * qy - a2 * p, -a0 * qy, a0 * p
-    v = np.empty((k, 2, n))
-    v[:, 0], v[:, 1] = xy[:, 0] - x, xy[:, 1] - y
-    return v.reshape(k, 2 * n), j.reshape(k, 2 * n, 6)
-
-
-def _turned(d: np.ndarray) -> np.ndarray:
-    """Rotations (k, 3, 3) near the rotation vectors d (k, 3), orthonormal without trigonometry (Cayley)."""
-    k = skew(0.5 * d)
-    return np.eye(3) + 2 / (1 + 0.25 * np.einsum("ki,ki->k", d, d))[:, None, None] * (k + k @ k)
 
 
 def wide_triples(points: np.ndarray, count: int = 4) -> list[list[int]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..adjustment import precision, solve
+from ..adjustment import Options, precision
 from ..adjustment.losses import LOSSES
 from ..cameras import project
 from ..errors import DegenerateGeometry
@@ -13,6 +13,7 @@ from ..geometry import Exterior
 from .control import Control
 from .initial import candidates, three_points
 from .resection import Resection
+from .steps import run
 
 CONSENSUS = 6.0
 """Residual length, in standard deviations, that still counts as agreeing with a three-point orientation."""
@@ -74,7 +75,7 @@ def _reweighted(control: Control, used: np.ndarray, loss: str, rounds: int = 10)
             return used
         part, weight = control.take(live), factor[live]
         problem = Resection(part.interior, part.points, part.pixels, part.weights(at) * weight[:, None, None])
-        at = Exterior.from_vector(solve(problem, problem.start(at)).last.x)
+        at = Exterior.from_vector(run(problem, problem.start(at), Options()).last.x)
         before, factor = factor, LOSSES[loss](np.sqrt(_squared(control, at, np.zeros(3))))
         if np.abs(factor - before).max() < 1e-3:
             break
@@ -101,7 +102,7 @@ def _snoop(control: Control, used: np.ndarray) -> np.ndarray:
             return used
         at = found[0].exterior.shifted(-mean)
         problem = Resection(some.interior, some.points, some.pixels, some.weights(at))
-        x = solve(problem, problem.start(at)).last.x
+        x = run(problem, problem.start(at), Options()).last.x
         test = _tests(control, used, problem, x)
         refused = used & (test > REJECT)
         if refused.any() and used.sum() > 4:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -23,6 +23,7 @@ from .orthogonal_c import OrthogonalFreeC
 from .resection import COLUMNS, UNITS, PriorOrientation, Resection
 from .result import Orientation
 from .robust import inliers
+from .steps import run
 from .words import bad_fit, correlations, curved, snooping, undetermined
 
 AMBIGUOUS = 6.0
@@ -169,19 +170,19 @@ def _first_run(problem: Resection, request: Request, found: list[Candidate],
     if request.prior != "none" and given and not np.isfinite(problem.cost(problem.start(given[0].exterior))):
         raise DegenerateGeometry(f"image '{request.image}': control points lie behind the camera of the prior; check its angles")
     if request.prior == "initial" and given:
-        return solve(problem, problem.start(given[0].exterior), PERSPECTIVE), found
+        return run(problem, problem.start(given[0].exterior), PERSPECTIVE), found
     chosen, near = found[0] if found else given[0], None
     if request.prior == "weighted" and given:
-        ends = [(k, solve(problem, problem.start(k.exterior), PERSPECTIVE)) for k in [*found, *given]]
+        ends = [(k, run(problem, problem.start(k.exterior), PERSPECTIVE)) for k in [*found, *given]]
         ends = [(k, t) for k, t in ends if np.isfinite(t.last.cost)]
         chosen, near = min(ends, key=lambda end: end[1].last.cost)
-    crude = solve(problem, problem.start(chosen.start), PERSPECTIVE)
+    crude = run(problem, problem.start(chosen.start), PERSPECTIVE)
     end = Exterior.from_vector(crude.last.x)
     there = all(apart(end, chosen.exterior) <= apart(end, k.exterior) for k in found)
     others = [k for k in found if k is not chosen]
     if there and crude.last.cost <= problem.cost(problem.start(chosen.exterior)) + 1e-9:
         return crude, others
-    return near or solve(problem, problem.start(chosen.exterior), PERSPECTIVE), others
+    return near or run(problem, problem.start(chosen.exterior), PERSPECTIVE), others
 
 
 def _orthogonal(request: Request, control: Control, found: list[Candidate],
@@ -290,7 +291,8 @@ def _describe(start: Start, trace: Trace) -> Orientation:
     rejected = tuple(name for name, ok in zip(control.names, start.used, strict=True) if not ok)
     if rejected:
         warnings.append(f"rejected as blunders: {', '.join(rejected)}; their residuals are listed with used = false")
-    residuals = control.pixels - project(interior, local, control.points)
+    whole = isinstance(problem, Resection) and start.used.all()
+    residuals = linear.v[:n] if whole else control.pixels - project(interior, local, control.points)
     return Orientation(
         image=control.image, model=start.request.model, exterior=exterior, local=local,
         initial=Exterior.from_vector(trace.rows[0].x), covariance=covariance, sigma0=sigma0, dof=problem.dof,
@@ -327,7 +329,7 @@ def _orthogonal_covariance(start: Start, problem: Orthogonal, trace: Trace, loca
     elif start.others and trace.converged and np.diag(leak.iterated)[3:].max() > np.radians(0.1) ** 2:
         best = start.others[0].exterior
         rigorous = Resection(used.interior, used.points, used.pixels, used.weights(best))
-        end = solve(rigorous, rigorous.start(best), PERSPECTIVE).last
+        end = run(rigorous, rigorous.start(best), PERSPECTIVE).last
         excess = 2 * (rigorous.cost(rigorous.start(local)) - end.cost)
         if excess > 4:
             said.append(f"the fixed point fits worse than the perspective solution (chi-square larger by {excess:.0f}) where the "
@@ -350,7 +352,8 @@ def _alternative(start: Start, candidate: Candidate, control: Control) -> Orient
         x0 = np.append(problem.model.start(problem.model.affine_of(candidate.exterior)), control.interior.c)
     else:
         x0 = problem.start(problem.affine_of(candidate.exterior))
-    trace = solve(problem, x0, options, start.manifest)
+    trace = run(problem, x0, options) if isinstance(problem, Resection) else solve(problem, x0, options)
+    trace = replace(trace, manifest=start.manifest)
     if not trace.converged or not np.isfinite(_rms(control, Exterior.from_vector(trace.last.x))):
         return None
     try:
@@ -372,7 +375,7 @@ def discrimination(start: Start, chosen: Exterior, control: Control) -> float | 
     perfect = Resection(control.interior, control.points, pixels, control.weights(chosen))
     found = []
     for k in candidates(control.points - mean, control.interior.ideal(pixels), control.interior.c, control.noise):
-        trace = solve(perfect, perfect.start(_moved(k, mean).exterior), PERSPECTIVE)
+        trace = run(perfect, perfect.start(_moved(k, mean).exterior), PERSPECTIVE)
         if trace.converged and apart(Exterior.from_vector(trace.last.x), chosen) > SAME:
             found.append(float(np.sqrt(2 * trace.last.cost)))
     return min(found, default=None)
@@ -434,7 +437,7 @@ def given_prior(block: Block, name: str, frame: LocalFrame) -> PriorOrientation:
 
 def camera_manifest(interior: Interior) -> dict[str, Any]:
     """JSON-able values of an interior orientation, enough to make it again: Interior(**values)."""
-    return {**asdict(interior), "pixel_mm": [float(p) for p in interior.pitch]}
+    return {**{f.name: getattr(interior, f.name) for f in fields(interior)}, "pixel_mm": [float(p) for p in interior.pitch]}
 
 
 def _manifest(block: Block, request: Request, frame: LocalFrame, control: Control) -> dict[str, Any]:
@@ -446,7 +449,7 @@ def _manifest(block: Block, request: Request, frame: LocalFrame, control: Contro
         "columns": [*COLUMNS, *(tuple(f"A{i}" for i in range(1, 9)) if request.model == "orthogonal" else ()), *request.free],
         "units": [*UNITS, *(("mm/m", "mm/m", "mm/m", "mm") * 2 if request.model == "orthogonal" else ()),
                   *("mm" for _ in request.free)],
-        "options": {k: v for k, v in asdict(request).items() if k not in ("image", "model")},
+        "options": {k: v for k, v in vars(request).items() if k not in ("image", "model")},
     }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .resection import Resection
+from .steps import costs
 
 ORDER = ("X", "Y", "Z", "omega", "phi", "kappa")
 MEANING = {
@@ -86,15 +87,16 @@ def curved(problem: Resection, x: np.ndarray, covariance: np.ndarray) -> list[st
     values, vectors = np.linalg.eigh(covariance[3:, 3:])
     if not values[2] > np.radians(0.2) ** 2:
         return []
-    least = problem.cost(x)
+    places = [x]
     for axis in (2, 1):
         for sign in (3.0, -3.0):
             step = np.zeros(len(x) - 6)
             step[:6] = sign * covariance[:, 3:] @ vectors[:, axis] / np.sqrt(values[axis])
-            rise = 2 * (problem.cost(problem.retract(x, step)) - least) / 9
-            if not 0.4 < rise < 2.5:
-                return ["the error region is not an ellipsoid (the geometry is too weak for linear error theory): the standard "
-                        "errors are a rough guide, the true orientation can lie several of them away"]
+            places.append(problem.retract(x, step))
+    least, *around = costs(problem, places)
+    if not all(0.4 < 2 * (cost - least) / 9 < 2.5 for cost in around):
+        return ["the error region is not an ellipsoid (the geometry is too weak for linear error theory): the standard "
+                "errors are a rough guide, the true orientation can lie several of them away"]
     return []
 
 
