@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 
@@ -25,7 +26,7 @@ def recentring(xy: np.ndarray, c: float) -> np.ndarray:
     rays = _rays(xy, c)
     mean = rays.mean(axis=0)
     z = -mean / np.linalg.norm(mean)
-    k = skew([z[1], -z[0], 0.0])  # the smallest turn that brings z to (0, 0, 1)
+    k = skew(np.array([z[1], -z[0], 0.0]))  # the smallest turn that brings z to (0, 0, 1)
     return np.eye(3) + k + k @ k / (1 + z[2])
 
 
@@ -147,10 +148,19 @@ def planar_block(centred: np.ndarray, u: np.ndarray, s: np.ndarray, vt: np.ndarr
 
 def pose_of_block(block: np.ndarray) -> tuple[np.ndarray, float]:
     """M (3, 3) and scale of a 2x3 block that need not fulfil the constraints: closest rotation, m3 = m1 x m2."""
-    u, s, vt = np.linalg.svd(block, full_matrices=False)
-    a, b = u @ vt
-    m3 = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-    return np.array([a, b, m3]), float(s[0] + s[1]) / 2
+    (a0, a1, a2), (b0, b1, b2) = block.tolist()
+    aa, ab, bb = a0 * a0 + a1 * a1 + a2 * a2, a0 * b0 + a1 * b1 + a2 * b2, b0 * b0 + b1 * b1 + b2 * b2
+    area = sqrt(max(aa * bb - ab * ab, 0.0))  # product of the singular values; their sum is 2 s
+    both = sqrt(aa + bb + 2 * area)
+    if not area > 1e-14 * (aa + bb):  # the rows are nearly parallel: the singular vectors still tell
+        u, s, vt = np.linalg.svd(block, full_matrices=False)
+        (a0, a1, a2), (b0, b1, b2) = (u @ vt).tolist()
+        both = float(s[0] + s[1])
+    else:
+        f, g, h = (bb + area) / (area * both), -ab / (area * both), (aa + area) / (area * both)  # (B B^T)^(-1/2)
+        a0, a1, a2, b0, b1, b2 = (f * a0 + g * b0, f * a1 + g * b1, f * a2 + g * b2,
+                                  g * a0 + h * b0, g * a1 + h * b1, g * a2 + h * b2)
+    return np.array([[a0, a1, a2], [b0, b1, b2], [a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0]]), both / 2
 
 
 def three_points(points: np.ndarray, xy: np.ndarray, c: float) -> list[Exterior]:

@@ -6,7 +6,7 @@ A = (A1 .. A8): x_a = A1 X + A2 Y + A3 Z + A4, y_a = A5 X + A6 Y + A7 Z + A8, X 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -41,6 +41,7 @@ class Orthogonal:
     recentre: bool = True
     frozen: Exterior | None = None
     accelerated: bool = False
+    _latest: tuple[np.ndarray, Linear] | None = field(init=False, repr=False, compare=False, default=None)
 
     @cached_property
     def mean(self) -> np.ndarray:
@@ -50,6 +51,19 @@ class Orthogonal:
     @cached_property
     def reduced(self) -> np.ndarray:
         return self.points - self.mean
+
+    @cached_property
+    def _design(self) -> np.ndarray:
+        """(n, 2, 8) derivatives of the orthogonal coordinates by A."""
+        out = np.zeros((len(self.points), 2, 8))
+        out[:, 0, :3] = out[:, 1, 4:7] = self.reduced
+        out[:, 0, 3] = out[:, 1, 7] = 1.0
+        return out
+
+    @cached_property
+    def _precision(self) -> np.ndarray:
+        """(n,) weight of each point's orthogonal coordinates: one over its mean variance and the area of a pixel."""
+        return 2 / np.einsum("naa->n", self.sigma) / np.prod(self.interior.pitch)
 
     @cached_property
     def r_v(self) -> np.ndarray:
@@ -149,17 +163,19 @@ class Orthogonal:
 
     def linear(self, x: np.ndarray) -> Linear:
         """The adjustment (13) to (16) at x in pixels: residuals and derivatives are carried back through the
-        transformation."""
+        transformation. The last one is remembered: the engine asks for the cost first, then for the equations there."""
+        if self._latest and self._latest[0] is x:
+            return self._latest[1]
         xa, t = self._transform_at(x)
         a = x[12:]
-        back = np.linalg.inv(t)
-        b = np.concatenate([self.reduced, np.ones((len(self.points), 1))], axis=1)
-        design = np.zeros((len(b), 2, 8))
-        design[:, 0, :4] = design[:, 1, 4:] = b
+        back = _inverse(t)
+        design = self._design
         v = xa - (design @ a)
         r1, r2, zero = a[:3], a[4:7], np.zeros(1)
         h = np.stack([np.concatenate([r2, zero, r1, zero]), np.concatenate([2 * r1, zero, -2 * r2, zero])])
-        return Linear((back @ v[..., None])[..., 0], back @ design, self._weights(t), h, -np.array([r1 @ r2, r1 @ r1 - r2 @ r2]))
+        out = Linear((back @ v[..., None])[..., 0], back @ design, self._weights(t), h, -np.array([r1 @ r2, r1 @ r1 - r2 @ r2]))
+        object.__setattr__(self, "_latest", (x, out))
+        return out
 
     def cost(self, x: np.ndarray) -> float:
         if not np.isfinite(x).all():
@@ -192,8 +208,7 @@ class Orthogonal:
 
     def _weights(self, transform: np.ndarray) -> np.ndarray:
         """(n, 2, 2) px^-2: equal weights of the orthogonal coordinates, seen through the transformation."""
-        t = transform / np.sqrt(np.prod(self.interior.pitch))
-        return np.swapaxes(t, 1, 2) @ t * (2 / np.einsum("naa->n", self.sigma))[:, None, None]
+        return np.swapaxes(transform, 1, 2) @ transform * self._precision[:, None, None]
 
     # -- statistics of the model (FORMULAS section 3.6) ---------------------------------------------------------------
 
@@ -230,9 +245,17 @@ class Orthogonal:
         g = g + cam[:, :2, None] * ds
         g[:, :, 3:] = g[:, :, 3:] @ self.r_v  # rotation vector of the photo -> of the virtual camera
         _, t = self.transform(exterior)
-        jg = np.linalg.inv(t) @ g
+        jg = _inverse(t) @ g
         at = project_derivatives(self.interior, exterior, self.points)
         return jg, np.concatenate([at.centre, at.rotation], axis=2), self._weights(t)
+
+
+def _inverse(a: np.ndarray) -> np.ndarray:
+    """Inverses (n, 2, 2)."""
+    out = np.empty_like(a)
+    out[:, 0, 0], out[:, 1, 1], out[:, 0, 1], out[:, 1, 0] = a[:, 1, 1], a[:, 0, 0], -a[:, 0, 1], -a[:, 1, 0]
+    with np.errstate(all="ignore"):
+        return out / (a[:, 0, 0] * a[:, 1, 1] - a[:, 0, 1] * a[:, 1, 0])[:, None, None]
 
 
 @dataclass(frozen=True)

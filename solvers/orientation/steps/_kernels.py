@@ -1,7 +1,7 @@
 """Compiled steps of one image: the engine's loop on a plain perspective resection, and many starts improved together.
 
-A camera is a row of the ten parameters, pitch x, pitch y, middle column, middle row, squared radius of the fold, and the kind, as in
-`bundle._kernels`. An orientation is a row X, Y, Z, m11 .. m33; its tangent is (centre, left rotation vector).
+A camera is a row of the ten parameters, pitch x, pitch y, middle column, middle row, squared radius of the fold, and the kind,
+as in `bundle._kernels`. An orientation is a row X, Y, Z, m11 .. m33; its tangent is (centre, left rotation vector).
 """
 
 from typing import Any
