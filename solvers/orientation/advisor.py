@@ -22,8 +22,10 @@ UNDETERMINED_DEG = 2.0
 """Tilt standard error beyond which an image does not determine its exterior orientation."""
 FACTORS = np.array([1.0, 2.0, 3.0, 5.0])
 """By how much a prior's sigmas may be too small ..."""
-BELIEF = np.array([0.5, 0.2, 0.15, 0.15])
-"""... and how probable each of these is held to be before the image is asked."""
+BELIEF = np.array([0.6, 0.05, 0.3, 0.05])
+"""... and how probable each of these is held to be before the image is asked: honest, or about three times too small."""
+NEARLY_BEST = 1.1
+"""Tilt error over the least possible one within which a choice is as good as the best."""
 
 
 @dataclass(frozen=True)
@@ -107,16 +109,18 @@ def _predict(control: Any, at: Exterior, cp: np.ndarray, prior: PriorOrientation
 @dataclass(frozen=True)
 class Trust:
     """What the image says of its prior. factor: most probable factor of its sigmas; rarity: chance that an honest prior
-    disagrees as much (chi-square, 6); tilt: expected error [rad] of the perspective adjustment weighted with it."""
+    disagrees as much (chi-square, 6); tilt: expected error [rad] of the perspective adjustment weighted with it; use: whether
+    weighting it is likelier to be (nearly) the best choice than leaving it out."""
 
     factor: float
     rarity: float
     tilt: float
+    use: bool
 
 
 def _trust(prior: PriorOrientation, at: Exterior, cp: np.ndarray) -> Trust:
     """The gap between prior and image is normal with C_P + k^2 Sigma_0: how probable is each factor k, and what would the
-    weighted adjustment, which believes k = 1, then be worth?"""
+    weighted adjustment, which believes k = 1, then be worth beside the one without the prior?"""
     from scipy.special import gammaincc
 
     inverse = np.linalg.inv(prior.root)
@@ -128,8 +132,11 @@ def _trust(prior: PriorOrientation, at: Exterior, cp: np.ndarray) -> Trust:
     weight /= weight.sum()
     np_, n0 = np.linalg.inv(cp), prior.root.T @ prior.root
     cb = np.linalg.inv(np_ + n0)
-    tilts = [Prediction(at.angle_covariance(cb @ (np_ + k**2 * n0) @ cb)).tilt for k in FACTORS]
-    return Trust(float(FACTORS[np.argmax(weight)]), float(gammaincc(3.0, chi2[0] / 2)), float(np.sqrt(weight @ np.square(tilts))))
+    tilts = np.array([Prediction(at.angle_covariance(cb @ (np_ + k**2 * n0) @ cb)).tilt for k in FACTORS])
+    free = Prediction(at.angle_covariance(cp)).tilt
+    enough = NEARLY_BEST * np.minimum(tilts, free)
+    return Trust(float(FACTORS[np.argmax(weight)]), float(gammaincc(3.0, chi2[0] / 2)), float(np.sqrt(weight @ tilts**2)),
+                 bool(weight @ (tilts <= enough) >= weight @ (free <= enough)))
 
 
 def _choose(found: dict[str, Prediction], d: float | None, trust: Trust | None) -> tuple[str, list[str]]:
@@ -138,13 +145,14 @@ def _choose(found: dict[str, Prediction], d: float | None, trust: Trust | None) 
 
     reasons = []
     free = deg("perspective")
-    if trust is not None and trust.tilt <= found["perspective"].tilt:
+    if trust is not None and trust.use:
         share = found["perspective with prior"].remarks["prior_share"]
         reasons.append("the prior joins as a weighted observation: predicted tilt error "
                        f"{deg('perspective with prior'):.3f} degrees, {free:.3f} without it, "
                        f"{deg('orthogonal one pass'):.3f} for one orthogonal pass through the prior")
         if trust.factor > 1:
-            reasons.append(f"the prior seems {trust.factor:.0f} times less accurate than it says; it still helps, "
+            helps = "helps" if trust.tilt <= found["perspective"].tilt else "is the likelier choice"
+            reasons.append(f"the prior seems {trust.factor:.0f} times less accurate than it says; it still {helps}, "
                            f"with an expected tilt error of {np.degrees(trust.tilt):.3f} degrees")
         if share > 0.5:
             reasons.append(f"the tilt comes from the prior, not from this image ({share:.0%} of it)")
@@ -153,8 +161,9 @@ def _choose(found: dict[str, Prediction], d: float | None, trust: Trust | None) 
                            "but not the perspective model with it")
         return "perspective with prior", reasons
     if trust is not None:
-        rarity = f"once in {1 / trust.rarity:.0f} times" if trust.rarity > 1e-9 else "less than once in a billion times"
-        reasons.append(f"the prior contradicts the image (an honest one would do so {rarity}): "
+        rarity = f"once in {1 / trust.rarity:.1f} times" if trust.rarity > 1e-9 else "less than once in a billion times"
+        verb = "contradicts the image" if trust.rarity < 0.01 else "disagrees with the image more than its sigmas make likely"
+        reasons.append(f"the prior {verb} (an honest one would do so {rarity}): "
                        "its sigmas are too small or it belongs to another image; it is not used")
     if not free <= UNDETERMINED_DEG:
         reasons.append(f"this control does not determine the tilt ({free:.1f} degrees): register locally (similarity, affine, "
