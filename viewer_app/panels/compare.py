@@ -129,8 +129,8 @@ def errors_table(state: State) -> str:
         "this project knows no truth; the differences from the perspective solution, at the row shown"
     )
     curved = [m for m in solved(state) if (s := state.solution(m)) and s.orientation
-              and any("not to be relied on" in w for w in s.orientation.warnings)]
-    explained += f"; {' and '.join(curved)}: the prior is too uncertain for a linear prediction" if curved else ""
+              and any("simulated passes" in w for w in s.orientation.warnings)]
+    explained += f"; {' and '.join(curved)}: predicted by simulated passes, the prior is too uncertain for linear theory" if curved else ""
     shown = table((*head, "error/σ") if truth is not None else head, rows, "Predicted and actual error")
     return f'<div style="height:8px"></div>{shown}<div {MUTED}>{explained}</div>'
 
