@@ -130,7 +130,8 @@ def errors_table(state: State) -> str:
     )
     curved = [m for m in solved(state) if (s := state.solution(m)) and s.orientation
               and any("simulated passes" in w for w in s.orientation.warnings)]
-    explained += f"; {' and '.join(curved)}: predicted by simulated passes, the prior is too uncertain for linear theory" if curved else ""
+    if curved:
+        explained += f"; {' and '.join(curved)}: predicted by simulated passes, the prior is too uncertain for linear theory"
     shown = table((*head, "error/σ") if truth is not None else head, rows, "Predicted and actual error")
     return f'<div style="height:8px"></div>{shown}<div {MUTED}>{explained}</div>'
 
