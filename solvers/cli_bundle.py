@@ -1,4 +1,4 @@
-"""The commands that adjust blocks: adjust, calibrate."""
+"""The commands that adjust blocks: adjust, calibrate, models."""
 
 from __future__ import annotations
 
@@ -22,6 +22,12 @@ def add(commands: Any) -> None:
     _options(calibrate, "all")
     calibrate.add_argument("--compare", action="extend", nargs="+", default=[], metavar="RUN|PROJECT",
                            help="earlier calibrations, to compare parameters and distortion curves with")
+
+
+    models = add_command(commands, "models", _models, "the same control by four models in one table: direct linear "
+                         "transformation, affine, orthogonal and perspective")
+    models.add_argument("project", metavar="PROJECT")
+    models.add_argument("--image", action="extend", nargs="+", default=[], metavar="N", help="only these images (default: all)")
 
 
 def _options(command: Parser, free: str = "none") -> None:
@@ -97,6 +103,17 @@ def _calibrate(args: argparse.Namespace) -> int:
     if isinstance(done, StoppedRun):
         return _stopped(done)
     return emit(args, done.to_json(), calibrated_text(done))
+
+
+def _models(args: argparse.Namespace) -> int:
+    from .io import read_project
+    from .orientation.models import compare_models
+    from .report_bundle import models_text
+
+    block = read_project(args.project)
+    images, space = compare_models(block, tuple(args.image))
+    value = {"project": str(args.project), "images": [f.to_json() for f in images], "space": [m.to_json() for m in space]}
+    return emit(args, value, models_text(block, images, space))
 
 
 def _where(args: argparse.Namespace) -> str:

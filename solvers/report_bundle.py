@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,9 +12,12 @@ from .report import _digits, _notes, _rendered
 from .report_orientation import _run, _table
 
 if TYPE_CHECKING:
+    from .block import Block
     from .orientation import Adjusted
+    from .orientation.models import ModelInSpace, ModelOfImage
     from .workflows_bundle import AdjustedProject
 
+UNKNOWNS = {"dlt": 11, "affine": 8, "orthogonal": 6, "perspective": 6}
 SHOWN = 40
 """Lines of a table before the rest is left to the JSON."""
 SAID = {"c": "principal distance c [mm]", "xp": "principal point xp [mm]", "yp": "principal point yp [mm]",
@@ -89,3 +93,22 @@ def significant(value: float, sigma: float) -> int:
     if not (sigma > 0 and value):
         return 6
     return int(np.clip(np.floor(np.log10(abs(value))) - np.floor(np.log10(sigma)) + 2, 2, 12))
+
+
+def models_text(block: Block, images: Sequence[ModelOfImage], space: Sequence[ModelInSpace]) -> str:
+    """Four models beside each other: every image from its control, then what their rays give at check points."""
+    table = _table("image", "model", "points", "unknowns", "redundancy", "sigma0", "rms [px]", "least r", "condition",
+                   "check points", "check rms [px]")
+    for f in images:
+        if f.refused:
+            table.add_row(f.image, f.model, str(f.points), str(UNKNOWNS[f.model]), *["-"] * 7)
+            continue
+        table.add_row(f.image, f.model, str(f.points), str(UNKNOWNS[f.model]), str(f.dof),
+                      "-" if f.sigma0 is None else f"{f.sigma0:.3f}", f"{f.rms_px:.3f}", f"{f.redundancy[0]:.2f}",
+                      f"{f.condition:.1e}", str(f.checks), "-" if f.check_px is None else f"{f.check_px:.3f}")
+    below = _table("in space", "images", "check points", "rms X [m]", "rms Y [m]", "rms Z [m]")
+    for m in space:
+        values = ["-"] * 3 if m.rms is None else [f"{v:.4f}" for v in m.rms]
+        below.add_row(m.model, str(m.images), str(m.points), *values)
+    refused = _notes("no model", [f"{f.image}, {f.model}: {f.refused}" for f in images if f.refused])
+    return "\n".join([f"{block.name}: the same control by four models", _rendered(table), _rendered(below), *refused])

@@ -6,6 +6,8 @@ Reference: FORMULAS section 4; Nistér 2004 (five points, by OpenCV).
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 
 from ...cameras import project
@@ -19,6 +21,10 @@ from .given import Given
 
 MANY = 60
 """Points used for a resection within the block; more add nothing to a start."""
+LIKE = 2.0
+"""Cost, over the best one's, up to which another resection of an image is tried as well."""
+TOGETHER, MOST_OPEN = 64, 24
+"""Combinations that are tried whole, and images with a choice up to which there is any trying."""
 NEAR = 20.0
 """Median residual [px], over the sigma of an observation, beyond which a start from tie points is not believed."""
 
@@ -33,8 +39,11 @@ def start(data: Given) -> tuple[dict[int, Exterior], np.ndarray, list[str]]:
     poses: dict[int, Exterior] = {}
     if how in ("auto", "resection", "dlt", "affine"):
         least = 4 if data.request.datum != "free" else 6
-        first = _LINEAR.get(how, _resected)
-        poses = {i: e for i in images if (e := first(data, i, known, least)) is not None}
+        if how in _LINEAR:
+            poses = {i: e for i in images if (e := _LINEAR[how](data, i, known, least)) is not None}
+        else:
+            found = {i: several for i in images if (several := _resections(data, i, known, least))}
+            poses = _agreed(data, found)
         if poses:
             _grow(data, poses, images, known)
     if how in ("prior", "given") or (how == "auto" and len(poses) < len(images)):
@@ -89,18 +98,54 @@ def points(data: Given, poses: dict[int, Exterior]) -> np.ndarray:
 
 def _resected(data: Given, image: int, xyz: np.ndarray, least: int) -> Exterior | None:
     """Exterior orientation of an image from points xyz (n, 3) that are known, None where there are too few or it cannot be."""
+    found = _resections(data, image, xyz, least)
+    return found[0] if found else None
+
+
+def _resections(data: Given, image: int, xyz: np.ndarray, least: int) -> list[Exterior]:
+    """Exterior orientations of an image from points xyz (n, 3) that are known, the best first; behind it those that fit hardly
+    worse (both reversal solutions of a flat object); none where there are too few points or it cannot be."""
     rows = data.seen_in(image)
     rows = rows[np.isfinite(xyz[data.point[rows]]).all(axis=1)]
     if len(rows) < least:
-        return None
+        return []
     rows = rows[np.linspace(0, len(rows) - 1, min(MANY, len(rows))).astype(int)]
     interior, at = data.camera(image), xyz[data.point[rows]]
     mean = at.mean(axis=0)
     s = np.linalg.svd(at - mean, compute_uv=False)
     if s[1] <= 1e-4 * s[0]:
-        return None
+        return []
     found = candidates(at - mean, interior.ideal(data.pixels[rows]), interior.c)
-    return found[0].exterior.shifted(-mean) if found else None
+    return [f.exterior.shifted(-mean) for f in found[:3] if f.cost <= LIKE * found[0].cost]
+
+
+def _agreed(data: Given, found: dict[int, list[Exterior]]) -> dict[int, Exterior]:
+    """Of every image that orientation with which the rays of all meet best; those that leave a choice are tried together where
+    they are few, in turn where they are many."""
+    poses = {i: several[0] for i, several in found.items()}
+    open_ = [i for i, several in found.items() if len(several) > 1]
+    if not open_ or len(poses) < 2 or len(open_) > MOST_OPEN:
+        return poses
+    choices = [found[i] for i in open_]
+    if np.prod([len(c) for c in choices]) <= TOGETHER:
+        trials = [{**poses, **dict(zip(open_, chosen, strict=True))} for chosen in product(*choices)]
+        return min(trials, key=lambda p: _meeting(data, p))
+    for _ in range(2):
+        for i in open_:
+            poses = min(({**poses, i: e} for e in found[i]), key=lambda p: _meeting(data, p))
+    return poses
+
+
+def _meeting(data: Given, poses: dict[int, Exterior]) -> float:
+    """Mean square of what the rays of all images miss their common points by [px^2]; far more where points are behind."""
+    xyz, total, count = points(data, poses), 0.0, 0
+    for i, e in poses.items():
+        rows = data.seen_in(i)
+        rows = rows[np.isfinite(xyz[data.point[rows]]).all(axis=1)]
+        v2 = ((data.pixels[rows] - project(data.camera(i), e, xyz[data.point[rows]])) ** 2).sum(axis=1)
+        total += float(np.where(np.isfinite(v2), v2, float(data.camera(i).width) ** 2).sum())
+        count += len(rows)
+    return total / max(count, 1)
 
 
 def _by_dlt(data: Given, image: int, xyz: np.ndarray, least: int) -> Exterior | None:
