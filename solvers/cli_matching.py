@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import argparse
 import sys
+from pathlib import Path
 from typing import Any
 
-from .cli_parts import add_command, count, emit, pixel, reach
+from .cli_parts import add_command, count, emit, pixel, positive, reach
 
 
 def add(commands: Any) -> None:
     """Their options."""
-    targets = add_command(commands, "targets", _targets, "measure the signalised points of a photo")
-    targets.add_argument("image", metavar="IMAGE")
-    targets.add_argument("--kind", choices=("dot", "ring"), default="dot",
-                         help="filled circles or concentric rings (default: dot)")
+    targets = add_command(commands, "targets", _targets, "measure the signalised points of a photo or of a project's photos")
+    targets.add_argument("image", metavar="IMAGE|PROJECT")
+    targets.add_argument("--kind", choices=("dot", "ring", "chessboard"), default="dot",
+                         help="filled circles, concentric rings or the corners of a chessboard (default: dot)")
+    targets.add_argument("--board", type=_board, metavar="COLUMNSxROWS", help="inner corners of the chessboard, such as 9x6")
+    targets.add_argument("--square", type=positive, default=1.0, metavar="M",
+                         help="of a project: from one corner or row of targets to the next [m] (default: 1)")
     targets.add_argument("-o", "--output", metavar="observations.csv", help="write them as a table of observations")
 
     match = add_command(commands, "match", _match, "find a point of one photo in another")
@@ -39,11 +43,25 @@ def add(commands: Any) -> None:
     ties.add_argument("--scheduler", metavar="ADDRESS", help="of dask.distributed, to work over several machines")
 
 
+def _board(text: str) -> tuple[int, int]:
+    """COLUMNSxROWS."""
+    across, _, down = text.lower().partition("x")
+    if not (across.isdecimal() and down.isdecimal() and min(int(across), int(down)) > 2 and max(int(across), int(down)) < 100):
+        raise argparse.ArgumentTypeError(f"'{text}' is no board; write the inner corners across and down, such as 9x6")
+    return int(across), int(down)
+
+
 def _targets(args: argparse.Namespace) -> int:
     from .report_matching import targets_text
     from .workflows_matching import targets_of_photo
 
-    done = targets_of_photo(args.image, args.kind, args.output)
+    if (Path(args.image) / "project.toml").is_file():
+        from .report_matching import sheet_text
+        from .workflows_targets import targets_of_project
+
+        sheet = targets_of_project(args.image, args.kind, args.board, args.square)
+        return emit(args, sheet, sheet_text(sheet))
+    done = targets_of_photo(args.image, args.kind, args.output, args.board)
     return emit(args, done, targets_text(done, args.output))
 
 

@@ -24,12 +24,23 @@ def targets_text(done: Mapping[str, Any], file: str | None) -> str:
     rows = done["targets"]
     sigma = np.sqrt(np.mean([np.square(r["sigma_px"]).mean() for r in rows]))
     named = "numbered by the coded corners" if done["numbered"] else "with running numbers"
-    lines = [f"{done['image']}: {len(rows)} targets {named}, sigma {sigma:.3f} px"]
+    named = "of a chessboard, column-row" if done["kind"] == "chessboard" else f"{named}, sigma {sigma:.3f} px"
+    lines = [f"{done['image']}: {len(rows)} targets {named}"]
     bias = np.array([r["eccentricity_px"] for r in rows])
     if np.isfinite(bias).all():
         lines.append(f"a tilted circle's centre lies off the centre of its picture by {bias.max():.3f} px at most")
     lines += [f"  {r['point']:>8} {r['col']:10.3f} {r['row']:10.3f}" for r in rows]
     return "\n".join([*lines, *([f"written to {file}"] if file else [])])
+
+
+def sheet_text(done: Mapping[str, Any]) -> str:
+    """What was measured in the photos of a project, and in which nothing."""
+    images = done["images"]
+    seen = [i for i in images if i["targets"]]
+    lines = [f"{done['project']}: {done['points']} targets, {done['observations']} observations in {len(seen)} of {len(images)} "
+             "photos"]
+    lines += [f"  {i['name']}: {i['why']}" for i in images if not i["targets"]]
+    return "\n".join([*lines, f"next: collinea calibrate {done['project']}"])
 
 
 def ties_text(done: Tied) -> str:

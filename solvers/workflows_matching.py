@@ -40,6 +40,7 @@ from .matching import (
     predict,
     tie_points,
 )
+from .matching.chessboard import board_points, find_chessboard
 
 NEAR, FAR = 12, 40
 """px, how far a match is searched from a predicted place, and from the same pixel of the other photo."""
@@ -93,13 +94,16 @@ def _must_be_found(status: int, at: tuple[float, float], photo: Path | str, plac
 # -- targets ------------------------------------------------------------------------------------------------------------------
 
 
-def targets_of_photo(photo: Path | str, kind: str = "dot", out: Path | str | None = None) -> dict[str, Any]:
+def targets_of_photo(photo: Path | str, kind: str = "dot", out: Path | str | None = None,
+                     board: tuple[int, int] | None = None) -> dict[str, Any]:
     """The targets of one photo, numbered where the sheet's coded corners are seen, written as observations where asked for.
 
     Raises DegenerateGeometry when there is none.
     """
     path = Path(photo)
     image = read_photo(path, grey=False)
+    if kind == "chessboard":
+        return _corners(path, image, board, out)
     targets = find_targets(image, kind)
     if not len(targets):
         other = "ring" if kind == "dot" else "dot"
@@ -115,6 +119,19 @@ def targets_of_photo(photo: Path | str, kind: str = "dot", out: Path | str | Non
         sigma = np.sqrt((targets.sigma**2).mean(1))
         write_observation_table(Path(out), [path.stem] * len(targets), names, targets.pixel, sigma)
     return {"image": path.stem, "kind": kind, "numbered": numbered, "targets": _target_rows(targets, names, _c_px(path))}
+
+
+def _corners(path: Path, image: np.ndarray, board: tuple[int, int] | None, out: Path | str | None) -> dict[str, Any]:
+    """The corners of a chessboard, in the same form."""
+    if board is None:
+        raise BadProject("how many inner corners has the chessboard? give --board COLUMNSxROWS, such as 9x6")
+    pixel, names = find_chessboard(image, board), board_points(board, 1.0)[0]
+    if out is not None:
+        write_observation_table(Path(out), [path.stem] * len(names), names, pixel, np.full(len(names), np.nan))
+    nan = float("nan")
+    rows = [{"point": n, "col": at[0], "row": at[1], "sigma_px": [nan, nan], "centroid": at, "axes_px": [nan, nan],
+             "angle_deg": nan, "contrast": nan, "eccentricity_px": nan} for n, at in zip(names, pixel, strict=True)]
+    return {"image": path.stem, "kind": "chessboard", "numbered": True, "targets": rows}
 
 
 def _target_rows(targets: Targets, names: Sequence[str], c_px: float | None) -> list[dict[str, Any]]:

@@ -21,6 +21,8 @@ import numpy as np
 
 LEAF = 64
 """Nodes that are factored in one piece."""
+LOOSELY: dict[str, Any] = {"tol": 1e-2}
+"""How exactly the slowest wave over a graph need be known to cut it."""
 SHARES = (0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65)
 """Of the nodes, those on one side of a cut that are tried."""
 WIDE = 2400
@@ -367,7 +369,7 @@ def _ranks(graph) -> Iterator[np.ndarray]:
         try:
             begin = (one - other) / scale + 1e-3
             matrix = diags(scale) @ graph.astype(float) @ diags(scale)
-            yield scale * eigsh(matrix, k=2, which="LA", v0=begin, tol=1e-2, maxiter=300)[1][:, 0]
+            yield scale * eigsh(matrix, k=2, which="LA", v0=begin, maxiter=300, **LOOSELY)[1][:, 0]
         except ArpackError:  # the other order serves
             return
 

@@ -60,18 +60,20 @@ def field_long_range(seed: int = 0, *, relief: float = 1.5, span: float = 60.0, 
     return _network("Long-range field", _FIELD, _FIELD, truth, xyz, given, "tie", image_mm / 0.0105, noise, approximate, rng)
 
 
-def calibration_plate(seed: int = 0, *, camera: Interior = _APSC, image_px: float = 0.1, noise: float = 1.0) -> Simulated:
+def calibration_plate(seed: int = 0, *, camera: Interior = _APSC, image_px: float = 0.1, noise: float = 1.0,
+                      distance: float | None = None, tilts: tuple[float, float] = (32.0, 22.0)) -> Simulated:
     """A plate of 36 targets, some on posts, in eight convergent images rolled by quarter turns, for self-calibration.
 
     camera: the true one, all ten parameters; the block only knows its nominal c and format. Targets are control to 0.1 mm.
+    distance [m] to the cameras: None for as near as shows all; tilts [degrees]: of every other camera.
     """
     rng = np.random.default_rng([seed, 36])
     x, y = np.meshgrid(np.linspace(-_PLATE, _PLATE, 6), np.linspace(-_PLATE, _PLATE, 6))
     z = 0.10 * ((np.arange(36).reshape(6, 6) + np.arange(6)[:, None]) % 3 == 0)
     xyz = np.stack([x, y, z], -1).reshape(-1, 3)
     azimuth = np.radians(np.arange(8) * 45.0)
-    distance = 1.1 * 2 * _PLATE * camera.c / (camera.height * camera.pitch[1])
-    tilt = np.radians(np.where(np.arange(8) % 2, 22.0, 32.0))
+    distance = 1.1 * 2 * _PLATE * camera.c / (camera.height * camera.pitch[1]) if distance is None else distance
+    tilt = np.radians(np.where(np.arange(8) % 2, tilts[1], tilts[0]))
     stations = distance * np.stack([np.sin(tilt) * np.cos(azimuth), np.sin(tilt) * np.sin(azimuth), np.cos(tilt)], -1)
     truth = {f"plate{i + 1}": look_at(stations[i], np.array([0, 0, 0.05]), 90.0 * (i % 4)) for i in range(8)}
     given = np.round(xyz + noise * rng.normal(0, 1e-4, xyz.shape), 6)
