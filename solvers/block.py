@@ -19,7 +19,8 @@ class Prior:
     """Onboard GPS/IMU or an approximate value: centre (3,) m, angles (3,) rad (omega, phi, kappa); None where unknown.
 
     covariance (6, 6): of X, Y, Z, omega, phi, kappa together (m, rad), in place of the sigmas where they are correlated.
-    velocity (3,), sigma_velocity (3,): of the flight at the exposure, along X, Y, Z [m/s].
+    velocity (3,), sigma_velocity (3,): of the flight at the exposure, along X, Y, Z [m/s]. turning (k, 3): rotation vectors [rad]
+    from the attitude at the middle row to that at k instants, evenly from the first row to the last: exp(turning) M, photo axes.
     """
 
     centre: np.ndarray | None = None
@@ -29,6 +30,7 @@ class Prior:
     covariance: np.ndarray | None = None
     velocity: np.ndarray | None = None
     sigma_velocity: np.ndarray | None = None
+    turning: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

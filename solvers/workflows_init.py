@@ -346,11 +346,14 @@ def _shutter(photos: Sequence[Path], camera_of: Sequence[str], priors: Sequence[
     readout = {c: m.readout_ms for c, m in zip(camera_of, motions, strict=True) if m.readout_ms is not None}
     if not readout:
         return {}, tuple(priors), []
-    out, way = [], []
+    out, way, turns = [], [], []
     for camera, motion, prior in zip(camera_of, motions, priors, strict=True):
         if motion.velocity is not None and prior is not None and camera in readout and chosen != "local":
             prior = replace(prior, velocity=motion.velocity, sigma_velocity=np.full(3, VELOCITY_SIGMA))
             way.append((float(np.linalg.norm(motion.velocity)), readout[camera]))
+        if motion.turning is not None and prior is not None and camera in readout:
+            prior = replace(prior, turning=motion.turning)
+            turns.append(float(np.degrees(np.abs(motion.turning[-1] - motion.turning[0]).max())))
         out.append(prior)
     said = [f"rolling shutter: camera {c} reads a photo in {ms:.0f} ms (XMP)" for c, ms in readout.items()]
     if way:
@@ -358,6 +361,9 @@ def _shutter(photos: Sequence[Path], camera_of: Sequence[str], priors: Sequence[
         moved = speed * ms * 1e-3
         said[-1] += (f" and flies {speed:.1f} m/s: it moves by {moved:.2f} m, more than half a pixel where a pixel on the ground "
                      f"is smaller than {2 * moved:.2f} m; adjust with --rolling-shutter")
+    if turns:
+        said.append(f"gyroscope: {len(turns)} photos record how they turned while they were read, by {np.median(turns):.1f} "
+                    "degrees (median); adjust takes it in (--rolling-shutter)")
     return readout, tuple(out), said
 
 

@@ -15,6 +15,7 @@ from ..errors import BadProject, BadTable
 from .crs import transformed, utm_zone
 from .exif import Exif
 from .gcp import ControlList
+from .lens import read_lens
 from .photos import EXTENSIONS
 
 GPS_SIGMA_M = (5.0, 5.0, 10.0)
@@ -79,15 +80,18 @@ def cameras_of(photos: Sequence[Path], exifs: Sequence[Exif], pixel_um: float | 
             raise BadProject(f"{photo}: the pixel size of {who} is not known; give it in micrometres with --pixel-um")
         if c is None:
             raise BadProject(f"{photo}: EXIF states no focal length; give the principal distance in millimetres with --c-mm")
-        interior = Interior(c, pixel_mm=pitch, width=exif.width, height=exif.height)
+        lens = read_lens(photo, exif) if pixel_um is None and c_mm is None else None
+        interior = Interior(c, pixel_mm=pitch, width=exif.width, height=exif.height) if lens is None else lens[0]
         if (who, interior) not in keys:
             base = re.sub(r"[^a-z0-9]+", "-", (exif.model or "camera").lower()).strip("-") or "camera"
             name = base if base not in cameras else f"{base}-{sum(n.startswith(base) for n in cameras) + 1}"
             keys[who, interior], cameras[name] = name, interior
-            notes.append(f"camera {name}: {exif.width} x {exif.height} pixels of {pitch * 1e3:.4g} micrometres "
-                         f"({'given' if pixel_um is not None else exif.pitch_source}), c = {c:.6g} mm "
-                         f"({'given' if c_mm is not None else 'EXIF focal length'}), principal point in the centre, no "
-                         "distortion")
+            source = "given" if c_mm is not None else "EXIF focal length" if lens is None else "XMP"
+            rest = "principal point in the centre, no distortion" if lens is None else "principal point and distortion too"
+            of_pixels = "given" if pixel_um is not None else exif.pitch_source
+            notes.append(f"camera {name}: {exif.width} x {exif.height} pixels of {pitch * 1e3:.4g} micrometres ({of_pixels}), "
+                         f"c = {interior.c:.6g} mm ({source}), {rest}")
+            notes += lens[1].told(name) if lens is not None else ()
         of.append(keys[who, interior])
     return cameras, tuple(of), tuple(notes)
 

@@ -22,7 +22,8 @@ ORIGINS = ("center", "corner")
 """Pixel (0, 0): the centre of the top-left pixel, or its outer corner."""
 COEFFICIENTS = PARAMETERS[3:]
 CAMERA_KEYS = ("width", "height", "pixel_mm", "c_mm", "principal_point_px", "xp_mm", "yp_mm", *COEFFICIENTS, "readout_ms")
-PRIOR_KEYS = ("X", "Y", "Z", "omega_deg", "phi_deg", "kappa_deg", "sigma_m", "sigma_deg", "velocity_m_s", "sigma_velocity_m_s")
+PRIOR_KEYS = ("X", "Y", "Z", "omega_deg", "phi_deg", "kappa_deg", "sigma_m", "sigma_deg", "velocity_m_s", "sigma_velocity_m_s",
+              "turning_deg")
 
 
 @dataclass(frozen=True)
@@ -266,7 +267,19 @@ def _prior(table: Section) -> Prior:
                            expected=f"{speed}, positive") if "sigma_velocity_m_s" in table.values else None
     return Prior(centre, None if angles is None else np.radians(angles), None if sigma_m is None else np.array(sigma_m),
                  None if sigma_deg is None else np.radians(sigma_deg), None, None if velocity is None else np.array(velocity),
-                 None if sigma_v is None else np.array(sigma_v))
+                 None if sigma_v is None else np.array(sigma_v), _turning(table))
+
+
+def _turning(table: Section) -> np.ndarray | None:
+    """(k, 3) rad of the numbers under turning_deg, three an instant."""
+    if "turning_deg" not in table.values:
+        return None
+    given = table.values["turning_deg"]
+    count = len(given) if isinstance(given, list) else 0
+    if count < 9 or count % 3:
+        raise table.error("turning_deg", "write three numbers of degrees for each of three and more instants, evenly from the "
+                          "first row to the last, in one list; or leave it out")
+    return np.radians(table.vector("turning_deg", count, expected="degrees")).reshape(-1, 3)
 
 
 def _all_or_none(table: Section, keys: Sequence[str]) -> np.ndarray | None:
@@ -310,6 +323,8 @@ def _describe_image(image: Image) -> dict[str, Any]:
     for key, values in (("velocity_m_s", prior.velocity), ("sigma_velocity_m_s", prior.sigma_velocity)):
         if values is not None:
             table[key] = [float(v) for v in values]
+    if prior.turning is not None:
+        table["turning_deg"] = [float(v) for v in np.round(np.degrees(prior.turning), 6).ravel()]
     return out | {"prior": table}
 
 

@@ -20,25 +20,31 @@ SIGMA_V = 1.0
 
 
 def flown(seed: int, noise: float = 1.0, rate: float = 0.0, control: int = 6,
-          known: bool = True) -> tuple[Block, dict[str, np.ndarray], Any]:
-    """A small UAV block read row by row: each pixel is projected from where the camera is when its own row is read."""
+          known: bool = True, jerk: float = 0.0) -> tuple[Block, dict[str, np.ndarray], Any]:
+    """A small UAV block read row by row: each pixel is projected from where the camera is when its own row is read.
+
+    jerk: rad/s by which the rates, that a gyroscope records, change from first to last row.
+    """
     sim = uav_block(seed, strips=2, images=3, ties=60, control=control, checks=3, noise=0.0, fine=False)
     rng, block, of = np.random.default_rng([seed, 5]), sim.block, sim.block.observations
     pixel, truth, images = of.pixel.copy(), {}, []
     for i, image in enumerate(block.images):
         at, camera = sim.exteriors[image.name], sim.block.cameras[image.camera]
         v, w = np.array([0.0, 8.0, 0.0]) + rng.normal(0, 1.5, 3), rate * rng.normal(size=3)
+        bend = jerk * rng.normal(size=3) / (READOUT_MS * 1e-3) / 2
         truth[image.name] = np.concatenate([v, w])
         for o in np.flatnonzero(of.image == i):
             row = of.pixel[o, 1]
             for _ in range(30):
                 t = READOUT_MS * 1e-3 * (row - (camera.height - 1) / 2) / camera.height
-                then = Exterior(exp(w * t) @ at.m, at.centre + v * t)
+                then = Exterior(exp(w * t) @ exp(bend * t * t) @ at.m, at.centre + v * t)
                 pixel[o] = project(camera, then, sim.xyz[of.point[o]][None])[0]
                 row = pixel[o, 1]
         assert image.prior is not None
         prior = replace(image.prior, centre=at.centre + 0.05 * rng.normal(size=3), sigma_m=np.full(3, 0.05), angles=None,
                         sigma_rad=None, velocity=v + noise * rng.normal(0, SIGMA_V, 3), sigma_velocity=np.full(3, SIGMA_V))
+        if jerk:
+            prior = replace(prior, turning=np.outer((READOUT_MS * 1e-3 * np.linspace(-0.5, 0.5, 33)) ** 2, bend))
         images.append(replace(image, prior=prior if known else None))
     pixel += noise * rng.normal(size=pixel.shape) * block.image_px
     given = np.where(np.isfinite(block.points.sigma), block.points.sigma, block.control_m)
@@ -49,7 +55,7 @@ def flown(seed: int, noise: float = 1.0, rate: float = 0.0, control: int = 6,
 
 @pytest.mark.parametrize(("how", "datum"), [("translation", "control"), ("rotation", "both")])
 def test_jacobian_against_differences(how, datum) -> None:
-    block, _, _ = flown(3, rate=0.3)
+    block, _, _ = flown(3, rate=0.3, jerk=1.0)
     start = prepare_bundle(block, BundleRequest(datum=datum, rolling_shutter=how, free=("c", "k1")))
     assert isinstance(start.problem.compiled, Lagged)
     plain = replace(start.problem, compiled=None)
@@ -80,6 +86,20 @@ def test_truth_is_recovered_and_a_still_camera_is_told() -> None:
         np.testing.assert_allclose(got.motions[o.image][0], truth[o.image][:3], atol=1e-4)
     assert any("rolling shutter: the camera moves by" in w for w in still.warnings)
     assert not any("rolling shutter" in w for w in got.warnings)
+
+
+def test_what_a_gyroscope_recorded_is_taken_in() -> None:
+    block, _, sim = flown(7, noise=0.0, jerk=1.0)
+    got, blind = adjust(block, rolling_shutter="auto"), adjust(forgetful(block), rolling_shutter="rotation")
+    assert got.rms_px < 0.02 and blind.rms_px > 2  # what the even steps of the record leave
+    assert len(next(iter(got.motions.values()))[0]) == 6
+    for o in got.orientations:
+        np.testing.assert_allclose(o.exterior.centre, sim.exteriors[o.image].centre, atol=0.05)
+    assert not adjust(forgetful(block), rolling_shutter="auto").motions
+
+
+def forgetful(block: Block) -> Block:
+    return replace(block, images=tuple(replace(i, prior=replace(i.prior, turning=None)) for i in block.images if i.prior))
 
 
 def test_covariance_by_monte_carlo() -> None:

@@ -7,7 +7,11 @@ import numpy as np
 import pytest
 
 from benchmarks.matching import SCALE, digital, photograph, random_warp, scene
+from solvers.io import read_project
 from solvers.matching import TieOptions, TiePhoto, tie_points
+from solvers.orientation.bundle import adjust
+from solvers.workflows_init import init_project
+from solvers.workflows_matching import find_ties
 
 
 def read_small(name: str, folder: Path, reduction: int) -> np.ndarray:
@@ -27,6 +31,15 @@ def test_a_flight_hangs_together(data: Path, flight: str, photos: int, reduction
     assert len(names) == photos and ties.groups == (tuple(names),) and not ties.failed
     assert (ties.rays >= 3).mean() >= 0.5
     assert len(ties.points) > 300 and ties.per_photo.min() > 60
+
+
+@pytest.mark.parametrize(("flight", "photos", "rms"), [("uav_strip5", 5, 0.4), ("uav_brighton8", 8, 0.5)])
+def test_a_flight_becomes_a_free_block(data: Path, tmp_path: Path, flight: str, photos: int, rms: float) -> None:
+    init_project([data / flight], tmp_path / "p")
+    ties = find_ties(tmp_path / "p").ties
+    assert len(ties.groups) == 1 and (ties.rays >= 3).mean() >= 0.5
+    found = adjust(read_project(tmp_path / "p"), datum="free", rolling_shutter="auto")
+    assert len(found.orientations) == photos and found.trace.converged and found.rms_px < rms
 
 
 def test_least_squares_matching_makes_features_exact(data: Path) -> None:

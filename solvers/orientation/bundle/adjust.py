@@ -189,7 +189,7 @@ def prepare_bundle(block: Block, request: BundleRequest, begun: Begun | None = N
         raise DegenerateGeometry(f"{block.name}: {net.observed} observations cannot determine {net.observed - problem.dof} "
                                  "unknowns; measure more points or free fewer interior parameters")
     if request.model == "orthogonal":
-        if request.rolling_shutter != "none":
+        if request.rolling_shutter not in ("none", "auto"):
             raise BadProject("the orthogonal model knows no rolling shutter; take --model perspective")
         return _orthogonal(problem, x0, data, (*left, *said))
     x0 = x0 if begun else _softened(problem, x0)

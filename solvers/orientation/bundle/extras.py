@@ -18,7 +18,7 @@ class Extras:
     of strips; shift_of (m,): strip of each image, -1 for none; shift_sigma: of a shift [m]. levers (m, 3): from the projection
     centre to the antenna in the photo frame [m]. moving (m,): parameters of each image's motion while it is read, 0, 3 (velocity,
     m/s, local axes) or 6 (and the rate of its rotation, rad/s, photo axes); motion, motion_sigma (m, 6): what is known of them;
-    readout (m,) [s] from the first row to the last."""
+    readout (m,) [s] from the first row to the last; turning (m, k, 3): what is known of how they turn, see `Prior`, else 0."""
 
     held: int = 0
     bars: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), int))
@@ -33,6 +33,7 @@ class Extras:
     motion: np.ndarray = field(default_factory=lambda: np.zeros((0, 6)))
     motion_sigma: np.ndarray = field(default_factory=lambda: np.zeros((0, 6)))
     readout: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    turning: np.ndarray = field(default_factory=lambda: np.zeros((0, 2, 3)))
 
     @property
     def motions(self) -> int:

@@ -34,7 +34,8 @@ class BundleRequest:
     priors and all coordinates of points as they are). compiled: None lets the size decide.
     per_image: free parameters of every image by itself, as "camera@image", instead of one set for each camera; or the names of
     those that are, while the other free ones stay one set (c invariant, xp and yp of every image).
-    rolling_shutter: "translation" lets every image move while it is read, "rotation" turn as well (cameras with readout_ms).
+    rolling_shutter: "translation" lets every image move while it is read, "rotation" turn as well (cameras with readout_ms), both
+    with the turning that priors hold; "auto" is "rotation" where they hold one.
     model: "orthogonal" is Ono & Hattori's, for long focal lengths; its transform is "iterated" (rays made parallel anew in every
     iteration) or "frozen" (kept as the start values make them).
     """
@@ -48,7 +49,7 @@ class BundleRequest:
     per_image: bool | tuple[str, ...] = False
     model: Literal["perspective", "orthogonal"] = "perspective"
     transform: Literal["iterated", "frozen"] = "iterated"
-    rolling_shutter: Literal["none", "translation", "rotation"] = "none"
+    rolling_shutter: Literal["none", "translation", "rotation", "auto"] = "none"
 
 
 @dataclass(frozen=True)
@@ -246,10 +247,19 @@ def _extras(data: Given, images: list[int], place: np.ndarray, held: int, bars: 
     if data.priors and any(gps.lever_arm):
         forward, right, down = gps.lever_arm
         levers = np.tile([-right, -forward, down], (len(images), 1))
-    moving = {"none": 0, "translation": 3, "rotation": 6}[data.request.rolling_shutter]
+    moving = moving_parameters(data, images)
     motion, sigma, readout = known_motion(data, images) if moving else (np.zeros((0, 6)), np.zeros((0, 6)), np.zeros(0))
     return Extras(held, ends, np.array([b.length for b in bars]), np.array([b.sigma for b in bars]), correlated, names, of,
-                  gps.shift_sigma, levers, moving, motion, sigma, readout)
+                  gps.shift_sigma, levers, moving, motion, sigma, readout, known_turning(data, images))
+
+
+def moving_parameters(data: Given, images: list[int]) -> int:
+    """Unknowns of each image's motion while it is read: 0, 3 or 6."""
+    asked = data.request.rolling_shutter
+    if asked == "auto":
+        turned = data.request.model == "perspective" and known_turning(data, images).any()
+        asked = "rotation" if turned and any(data.block.images[i].camera in data.block.readout_ms for i in images) else "none"
+    return {"none": 0, "translation": 3, "rotation": 6}[asked]
 
 
 def known_motion(data: Given, images: list[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -270,6 +280,18 @@ def known_motion(data: Given, images: list[int]) -> tuple[np.ndarray, np.ndarray
             stated = prior.sigma_velocity if prior is not None else None
             motion[row, :3], sigma[row, :3] = velocity, SPEED_KNOWN if stated is None else stated
     return motion, sigma, readout
+
+
+def known_turning(data: Given, images: list[int]) -> np.ndarray:
+    """(m, k, 3) rad what gyroscopes recorded while the images were read, 0 where they did not."""
+    priors = enumerate(data.block.images[i].prior for i in images)
+    known = {row: p.turning for row, p in priors if p is not None and p.turning is not None}
+    count = max((len(v) for v in known.values()), default=2)
+    out = np.zeros((len(images), count, 3))
+    for row, v in known.items():
+        at = np.linspace(0, len(v) - 1, count)
+        out[row] = np.stack([np.interp(at, np.arange(len(v)), v[:, axis]) for axis in range(3)], 1)
+    return out
 
 
 def velocity_of(data: Given, image: int) -> np.ndarray | None:

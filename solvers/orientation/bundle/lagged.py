@@ -1,6 +1,7 @@
 """Cameras with a rolling shutter: every row of a photo is seen from where the camera is when that row is read.
 
-An image moves evenly while it is read: at the time t after its middle row the centre is X + v t and the rotation exp(w t) M.
+An image moves evenly while it is read: at the time t after its middle row the centre is X + v t and the rotation exp(w t) M, or
+exp(w t) T(t) M where a gyroscope has recorded how it turns, T: w is then what the record lacks.
 It is seen as a still camera sees a point that is moved instead; velocity v and rate w stand in the border of the normal
 equations, which are made sparse and whole: the compiled kernels know no unknowns of an image beside its pose.
 Reference: Vautherin et al. 2016, "Photogrammetric accuracy and modeling of rolling shutter cameras".
@@ -41,12 +42,22 @@ def lags(net: Network, i: int, rows: np.ndarray) -> np.ndarray:
     return net.extras.readout[i] * (net.pixels[rows, 1] - (height - 1) / 2) / height
 
 
+def recorded(net: Network, i: int, rows: np.ndarray) -> np.ndarray:
+    """(n, 3, 3) turns T of image i when the observations `rows` were read, between the recorded instants."""
+    turning = net.extras.turning[i]
+    at = (lags(net, i, rows) / max(net.extras.readout[i], 1e-12) + 0.5) * (len(turning) - 1)
+    k = np.clip(at.astype(int), 0, len(turning) - 2)
+    return exp_many(turning[k] + (at - k)[:, None] * (turning[k + 1] - turning[k]))
+
+
 def _moved(net: Network, x: np.ndarray, i: int, rows: np.ndarray) -> tuple[np.ndarray, ...]:
     """Lags (n,), M (3, 3), the turn of each observation E (n, 3, 3), and what was turned (n, 3): M (P - X - v t)."""
     poses, _, points = net.split(x)
     at, motion, t = Exterior.from_vector(poses[i]), net.motion_at(x)[i], lags(net, i, rows)
     seen = (points[net.point[rows]] - at.centre - t[:, None] * motion[:3]) @ at.m.T
-    turn = exp_many(t[:, None] * motion[3:]) if len(motion) > 3 else np.broadcast_to(np.eye(3), (len(t), 3, 3))
+    turn = recorded(net, i, rows)
+    if len(motion) > 3:
+        turn = exp_many(t[:, None] * motion[3:]) @ turn
     return t, at.m, turn, seen
 
 
