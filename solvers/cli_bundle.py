@@ -52,7 +52,7 @@ def _options(command: Parser, free: str = "none") -> None:
                          help="where the start values come from (default: auto, whatever the project offers)")
     command.add_argument("--rolling-shutter", nargs="?", choices=("translation", "rotation", "none"), const="translation",
                          default="auto", help="let every image move while it is read (velocity), or turn as well, by the "
-                                              "camera's readout_ms (default: rotation where photos record their turning, else none)")
+                                              "camera's readout_ms (default: rotation where photos record it, else none)")
     command.add_argument("--robust", action="store_true", help="down-weight blunders and name them")
     command.add_argument("--loss", choices=LOSSES, default="danish", help="how --robust does it (default: danish)")
 
