@@ -246,8 +246,11 @@ orthogonal one in {_range(flat["orthogonal"])} (the least with three images over
 values serve
 the orthogonal model; coarse stations that contradict the points make its first steps too long. How many runs are lost depends
 on details
-of the repetition (an independent program lost 14 to 76 % of its runs from the coarse start, counting false fixed points as
-arrived); that
+of the repetition. An independent program lost 14 to 76 % of its runs from the coarse start, counting false fixed points as
+arrived: between plain repetition, which takes every step however far an image turns, and one that turns by one radian at most.
+(Four cells, 80 runs of another seed, arrived, right and false: 5 images over 60 degrees, c unknown and known, 3 over 30 degrees
+likewise: plain 26, 70, 3, 35 %; a radian at most 59, 100, 24, 100 %; the other program 48, 86, 24, 59 %.) So it is what
+becomes of absurd first steps that differs, not the model; that
 the perspective model loses none does not."""
 
 
