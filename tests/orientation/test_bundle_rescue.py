@@ -7,7 +7,7 @@ import pytest
 
 from solvers import Block
 from solvers.orientation import adjust
-from solvers.simulation import uav_block
+from solvers.simulation import field_long_range, uav_block
 
 BLOCK = uav_block(1, strips=2, images=3, ties=60, control=6, checks=3, fine=False).block
 
@@ -58,3 +58,27 @@ def test_photos_exchanged_are_named() -> None:
 
 def test_good_data_is_left_alone() -> None:
     assert not any("does not fit" in w or "exchanged" in w for w in adjust(BLOCK).warnings)
+
+
+def test_heights_of_all_control_in_feet_are_named() -> None:
+    xyz = BLOCK.points.xyz.copy()
+    xyz[np.array(BLOCK.points.role) == "control", 2] /= 0.3048
+    got = adjust(replace(BLOCK, points=replace(BLOCK.points, xyz=xyz)))
+    assert got.warnings[0].startswith("the heights of all control points look given in feet")
+
+
+def test_marks_exchanged_in_one_image_are_named() -> None:
+    of = BLOCK.observations
+    ties = [j for j, role in enumerate(BLOCK.points.role) if role == "tie"]
+    rows = np.flatnonzero((of.image == 2) & np.isin(of.point, ties))[[3, 9]]
+    point = of.point.copy()
+    point[rows] = point[rows[::-1]]
+    got = adjust(replace(BLOCK, observations=replace(of, point=point)))
+    names = sorted(BLOCK.points.names[j] for j in of.point[rows])
+    assert all(f"'{n}'" in got.warnings[0] for n in names) and "look exchanged in image" in got.warnings[0]
+
+
+def test_a_flat_object_far_away_is_begun_with_both_reversals_tried() -> None:
+    """28 targets nearly in one plane at 105 m, coordinates rounded to half a metre: each image has two solutions alike."""
+    got = adjust(field_long_range(16, relief=0.2, images=3).block, datum="free")
+    assert got.trace.converged and got.sigma0 is not None and 0.7 < got.sigma0 < 1.3

@@ -52,7 +52,20 @@ def test_strasbourg_control_in_feet_is_named(strasbourg: Block) -> None:
     j = strasbourg.points.names.index("375")
     xyz[j, 2] /= 0.3048
     got = adjust(replace(strasbourg, points=replace(strasbourg.points, xyz=xyz)))
-    assert got.suspects and got.suspects[0]["point"] == "375"
+    assert "control point '375' does not fit the others by 317 m; its Z look given in feet" in got.warnings
+    assert got.sigma0 is not None and got.sigma0 < 1.1
+
+
+def test_strasbourg_all_heights_in_feet_and_exchanged_marks_are_named(strasbourg: Block) -> None:
+    xyz = strasbourg.points.xyz.copy()
+    xyz[:, 2] /= 0.3048
+    got = adjust(replace(strasbourg, points=replace(strasbourg.points, xyz=xyz)))
+    assert got.warnings[0].startswith("the heights of all control points look given in feet")
+    of, point = strasbourg.observations, strasbourg.observations.point.copy()
+    rows = np.flatnonzero(of.image == 2)[:2]
+    point[rows] = point[rows[::-1]]
+    got = adjust(replace(strasbourg, observations=replace(of, point=point)))
+    assert "look exchanged in image '8937'" in got.warnings[0] and "'317'" in got.warnings[0] and "'333'" in got.warnings[0]
 
 
 def test_ladybug_starts_where_everybody_starts(data: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from itertools import combinations
 from typing import Any, Protocol
 
 import numpy as np
@@ -21,7 +22,7 @@ from .network import Network
 from .orthogonal import OrthogonalBundle, orthogonal
 from .orthogonal_statistics import orthogonal_statistics
 from .problem import DENSE, Bundle
-from .rescue import Screened, exchanged, screen, unit_of
+from .rescue import FEET, Screened, exchanged, screen, unit_of
 from .result import Adjusted, described
 from .start import start as begin
 from .statistics import datum_defects, statistics
@@ -35,6 +36,12 @@ FIXED_POINT = Options.gauss_newton(max_iterations=150, step_tolerance=1e-7)
 AIMED = Options.gauss_newton(max_iterations=30, step_tolerance=1e-7)
 FITS = 1.3
 """sigma0 below which a fixed point is not suspected to be a false one."""
+MOST_LOST = 0.05
+"""Share of the marks that may contradict the others and be left out."""
+MOST_WRONG = 3
+"""Control points that are left out one after the other, at most, to find those that are wrong."""
+CLEAR = 20.0
+"""Fall of the cost that chance does not make."""
 BAD = 5.0
 """sigma0 from which the control is screened for points that contradict the network."""
 LARGEST = 10 * DENSE
@@ -99,7 +106,9 @@ def adjust(block: Block, request: BundleRequest | None = None, engine: Options |
         result = _adjusted(block, request, engine, watch)
     except DegenerateGeometry as error:
         trouble = error
-    if result is not None and (result.trace.converged and (result.sigma0 or 0.0) < BAD):
+    if result is not None and result.trace.converged and (result.sigma0 or 0.0) < BAD:
+        if (result.sigma0 or 0.0) > FITS and (feet := _heights_in_feet(block, request, engine, result)):
+            return replace(result, warnings=(feet, *result.warnings))
         return result
     return _rescued(block, request, engine, result, trouble, watch)
 
@@ -138,7 +147,15 @@ def _rescued(block: Block, request: BundleRequest, engine: Options | None, resul
 
     Raises the first error where that is all there is.
     """
+    if feet := _heights_in_feet(block, request, engine, result):
+        if result is None:
+            raise DegenerateGeometry(f"{trouble}; {feet}")
+        return replace(result, warnings=(feet, *result.warnings))
+    if result is not None and (said := _exchanged_marks(block, request, engine, result, _suspected(result))):
+        return replace(result, warnings=(said, *result.warnings))
     wrong = screen(block, request) if request.datum in ("control", "both") else Screened((), ())
+    if not wrong.names and result is not None and request.datum in ("control", "both"):
+        wrong = _dropped(block, request, engine, result)
     failed = result is None or not result.trace.converged
     again: Adjusted | None = None
     if request.start == "auto" and (failed or wrong.names):
@@ -159,10 +176,112 @@ def _rescued(block: Block, request: BundleRequest, engine: Options | None, resul
         said = [s + unit_of(block, n, at[n]) if n in at else s for n, s in zip(wrong.names, wrong.said, strict=False)]
         left = [f"left out of the control: {', '.join(wrong.names)}; correct points.csv"] if wrong.names else []
         return replace(again, warnings=(*said, *left, *again.warnings))
+    if not wrong.names and request.loss is None:
+        clean, said = _marks(block, request, engine, result)
+        if clean is not None:
+            return replace(clean, warnings=(said, *clean.warnings))
+        if said and result is None:
+            raise DegenerateGeometry(f"{trouble}; {said}")
+        if said and result is not None:
+            return replace(result, warnings=(said, *result.warnings))
     if result is None:
         assert trouble is not None
         raise DegenerateGeometry(f"{trouble}{'; ' if wrong.said else ''}{'; '.join(wrong.said)}")
     return replace(result, warnings=(*wrong.said, *result.warnings))
+
+
+def _exchanged_marks(block: Block, request: BundleRequest, engine: Options | None, result: Adjusted | None,
+                     pairs: list[tuple[str, str, str]]) -> str:
+    """A sentence where two points of one image fit once their names are exchanged there, else nothing. pairs: image, points."""
+    of = block.observations
+    for name, a, b in pairs:
+        image, j, k = block.image_index(name), block.point_index(a), block.point_index(b)
+        here = of.image == image
+        point = np.where(here & (of.point == j), k, np.where(here & (of.point == k), j, of.point))
+        try:
+            tried = _adjusted(replace(block, observations=replace(of, point=point)), request, engine)
+        except (DegenerateGeometry, BadProject):
+            continue
+        better = result is None or (tried.cost < 0.1 * result.cost and tried.dof >= result.dof)
+        if better and tried.trace.converged and (tried.sigma0 or 0.0) < BAD:
+            before = f" instead of {result.sigma0:.3g}" if result is not None and result.sigma0 else ""
+            return (f"points '{a}' and '{b}' look exchanged in image '{name}': with their names exchanged there, sigma0 is "
+                    f"{tried.sigma0 or 0:.3g}{before}; correct observations.csv")
+    return ""
+
+
+def _suspected(result: Adjusted) -> list[tuple[str, str, str]]:
+    """Image and points of the two worst pairs of suspects in the image of the worst one."""
+    worst = result.suspects if result.trace.converged and result.suspects[:1] and result.suspects[0]["kind"] == "image" else ()
+    return [(worst[0]["image"], worst[0]["point"], s["point"]) for s in worst[1:] if s.get("image") == worst[0]["image"]][:2]
+
+
+def _marks(block: Block, request: BundleRequest, engine: Options | None,
+           result: Adjusted | None) -> tuple[Adjusted | None, str]:
+    """What a robust loss finds where least squares failed: marks that are exchanged (in words), or marks that contradict the
+    rest, with the bundle without them."""
+    try:
+        robust = _adjusted(block, replace(request, loss="cauchy"), engine)
+    except DegenerateGeometry:
+        return None, ""
+    lost = [(o.image, point) for o in robust.orientations for point in o.rejected]
+    if not robust.trace.converged or not lost or len(lost) > MOST_LOST * len(block.observations):
+        return None, ""
+    pairs = [(o.image, *pair) for o in robust.orientations for pair in combinations(o.rejected[:4], 2)]
+    if said := _exchanged_marks(block, request, engine, result, pairs[:6]):
+        return None, said
+    of, names = block.observations, block.points.names
+    keep = np.array([(block.images[i].name, names[j]) not in set(lost) for i, j in zip(of.image, of.point, strict=True)])
+    part = replace(of, image=of.image[keep], point=of.point[keep], pixel=of.pixel[keep], sigma=of.sigma[keep])
+    try:
+        clean = _adjusted(replace(block, observations=part), request, engine)
+    except DegenerateGeometry:
+        return None, ""
+    if not clean.trace.converged or (clean.sigma0 or 0.0) > BAD:
+        return None, ""
+    shown = ", ".join(f"'{p}' in '{i}'" for i, p in lost[:6]) + (" ..." if len(lost) > 6 else "")
+    return clean, f"left out, because they contradict all others: the marks of {shown}; correct observations.csv"
+
+
+def _dropped(block: Block, request: BundleRequest, engine: Options | None, result: Adjusted) -> Screened:
+    """Where the network alone cannot judge: the control point that heads the suspects, and the next, left out until it fits."""
+    names: list[str] = []
+    now, left = result, block
+    for _ in range(MOST_WRONG):
+        worst = next((s["point"] for s in now.suspects if s["kind"] == "control" and s["point"] not in names), None)
+        if worst is None:
+            break
+        names.append(worst)
+        left = left.with_role(worst, "check")
+        try:
+            now = _adjusted(left, request, engine)
+        except DegenerateGeometry:
+            break
+        if now.trace.converged and (now.sigma0 or 0.0) < BAD and now.cost < 0.1 * result.cost:
+            off = {p.name: float(np.linalg.norm(p.off)) for p in now.points}
+            wrong = [n for n in names if off.get(n, 0.0) > 0]
+            return Screened(tuple(wrong), tuple(f"control point '{n}' does not fit the others by {off[n]:.3g} m" for n in wrong))
+    return Screened((), ())
+
+
+def _heights_in_feet(block: Block, request: BundleRequest, engine: Options | None, result: Adjusted | None) -> str:
+    """A sentence where the bundle fits once the heights of all control points are taken as feet, else nothing."""
+    control = np.array(block.points.role) == "control"
+    if request.datum not in ("control", "both") or request.model != "perspective" or not control.any():
+        return ""
+    xyz = block.points.xyz.copy()
+    xyz[control, 2] *= FEET
+    try:
+        tried = _adjusted(replace(block, points=replace(block.points, xyz=xyz)), request, engine)
+    except DegenerateGeometry:
+        return ""
+    better = tried.trace.converged and (tried.sigma0 or 0.0) < BAD and (result is None or tried.dof >= result.dof)
+    if not better or (result is not None and result.trace.converged
+                      and (tried.cost > 0.5 * result.cost or result.cost - tried.cost < CLEAR)):
+        return ""
+    before = f" instead of {result.sigma0:.3g}" if result is not None and result.sigma0 else ""
+    return (f"the heights of all control points look given in feet: taken as feet, sigma0 is {tried.sigma0 or 0:.3g}{before}; "
+            "correct Z in points.csv")
 
 
 def prepare_bundle(block: Block, request: BundleRequest, begun: Begun | None = None) -> BundleStart:
