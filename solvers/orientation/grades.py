@@ -211,7 +211,7 @@ def _direct(method: str, block: Block, names: Sequence[str], oriented: Sequence[
     points, stated = [], all(o.covariance is not None for o in oriented)
     for name in names:
         try:
-            points += intersect(block, oriented, (name,)).points
+            points += [_checked(block, name, p.xyz, p.covariance) for p in intersect(block, oriented, (name,)).points]
         except (BadProject, DegenerateGeometry):
             continue
     return _grade(method, points, stated, len(oriented))
@@ -232,7 +232,7 @@ def _adjusted(method: str, block: Block, true: Block, names: Sequence[str], datu
         except (BadProject, DegenerateGeometry) as error:
             why = str(error)
             continue
-        points += [_Checked(found[n].xyz, true.points.xyz[true.point_index(n)], found[n].covariance) for n in group if n in found]
+        points += [_checked(true, n, found[n].xyz, found[n].covariance) for n in group if n in found]
     if why:
         said.append(f"{method}: {'' if points else 'no result: '}{why}")
     sure = [p for p in points if np.trace(p.covariance) < undetermined**2]
@@ -243,8 +243,15 @@ def _adjusted(method: str, block: Block, true: Block, names: Sequence[str], datu
 
 
 class _Checked(NamedTuple):
-    """A check point: found and given coordinates (3,), covariance (3, 3)."""
+    """A check point: found and given coordinates (3,), covariance (3, 3) of their difference."""
 
     xyz: np.ndarray
     given: np.ndarray
     covariance: np.ndarray
+
+
+def _checked(block: Block, name: str, xyz: np.ndarray, covariance: np.ndarray) -> _Checked:
+    """A point found (3,) with its covariance, beside its surveyed coordinates, which have standard errors of their own."""
+    j = block.point_index(name)
+    sigma = np.where(np.isfinite(block.points.sigma[j]), block.points.sigma[j], block.control_m)
+    return _Checked(xyz, block.points.xyz[j], covariance + np.diag(sigma**2))
