@@ -14,6 +14,7 @@ from ..adjustment import precision
 from ..block import Block
 from ..errors import BadProject
 from ..geometry import Exterior
+from .one_pass import one_pass_covariance
 from .orthogonal import Orthogonal
 from .resection import PriorOrientation, Resection
 from .single import AMBIGUOUS, Request, discrimination, given_prior, prepare
@@ -22,10 +23,12 @@ UNDETERMINED_DEG = 2.0
 """Tilt standard error beyond which an image does not determine its exterior orientation."""
 FACTORS = np.array([1.0, 2.0, 3.0, 5.0])
 """By how much a prior's sigmas may be too small ..."""
-BELIEF = np.array([0.6, 0.05, 0.3, 0.05])
+BELIEF = np.array([0.5, 0.05, 0.4, 0.05])
 """... and how probable each of these is held to be before the image is asked: honest, or about three times too small."""
 NEARLY_BEST = 1.1
 """Tilt error over the least possible one within which a choice is as good as the best."""
+MARGIN = 0.1
+"""How much likelier leaving a prior out must be to be (nearly) best before it is left out."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +104,7 @@ def _predict(control: Any, at: Exterior, cp: np.ndarray, prior: PriorOrientation
         c0 = inverse @ inverse.T
         cb = np.linalg.inv(np.linalg.inv(cp) + prior.root.T @ prior.root)
         share = float(np.trace((cb @ np.linalg.inv(c0))[3:5, 3:5]) / 2)
-        out["orthogonal one pass"] = Prediction(at.angle_covariance(leak.noise + leak.leak @ c0 @ leak.leak.T))
+        out["orthogonal one pass"] = Prediction(at.angle_covariance(one_pass_covariance(orthogonal, at, prior)[0]))
         out["perspective with prior"] = Prediction(at.angle_covariance(cb), {"prior_share": share})
     return out
 
@@ -110,7 +113,7 @@ def _predict(control: Any, at: Exterior, cp: np.ndarray, prior: PriorOrientation
 class Trust:
     """What the image says of its prior. factor: most probable factor of its sigmas; rarity: chance that an honest prior
     disagrees as much (chi-square, 6); tilt: expected error [rad] of the perspective adjustment weighted with it; use: whether
-    weighting it is likelier to be (nearly) the best choice than leaving it out."""
+    weighting it is about as likely to be (nearly) the best choice as leaving it out, or likelier."""
 
     factor: float
     rarity: float
@@ -136,7 +139,7 @@ def _trust(prior: PriorOrientation, at: Exterior, cp: np.ndarray) -> Trust:
     free = Prediction(at.angle_covariance(cp)).tilt
     enough = NEARLY_BEST * np.minimum(tilts, free)
     return Trust(float(FACTORS[np.argmax(weight)]), float(gammaincc(3.0, chi2[0] / 2)), float(np.sqrt(weight @ tilts**2)),
-                 bool(weight @ (tilts <= enough) >= weight @ (free <= enough)))
+                 bool(weight @ (tilts <= enough) > weight @ (free <= enough) - MARGIN))
 
 
 def _choose(found: dict[str, Prediction], d: float | None, trust: Trust | None) -> tuple[str, list[str]]:
@@ -161,10 +164,13 @@ def _choose(found: dict[str, Prediction], d: float | None, trust: Trust | None) 
                            "but not the perspective model with it")
         return "perspective with prior", reasons
     if trust is not None:
-        rarity = f"once in {1 / trust.rarity:.1f} times" if trust.rarity > 1e-9 else "less than once in a billion times"
-        verb = "contradicts the image" if trust.rarity < 0.01 else "disagrees with the image more than its sigmas make likely"
-        reasons.append(f"the prior {verb} (an honest one would do so {rarity}): "
-                       "its sigmas are too small or it belongs to another image; it is not used")
+        rarity = f"once in {1 / trust.rarity:.0f} times" if trust.rarity > 1e-9 else "less than once in a billion times"
+        if trust.rarity < 0.05:
+            reasons.append(f"the prior contradicts the image (an honest one would do so {rarity}): "
+                           "its sigmas are too small or it belongs to another image; it is not used")
+        else:
+            reasons.append(f"the prior is not used: it would gain little ({deg('perspective with prior'):.3f} degrees instead of "
+                           f"{free:.3f}) and cost more if its sigmas are too small, which the image cannot rule out")
     if not free <= UNDETERMINED_DEG:
         reasons.append(f"this control does not determine the tilt ({free:.1f} degrees): register locally (similarity, affine, "
                        "homography) and claim no exterior orientation")

@@ -16,6 +16,8 @@ CERTAIN_DEG = 0.5
 """Length of a prior's rotation error below which its leak is linear."""
 RUNS = 60
 """Simulated passes where it does not hold: their root mean square is good to a tenth."""
+BENT = 2.0
+"""Mean square over linear variance, in the worst direction, beyond which an error region counts as bent."""
 PASS = Options.gauss_newton(max_iterations=8, step_tolerance=1e-3)
 
 
@@ -68,12 +70,25 @@ def _misfit(problem: Orthogonal, end: Trace) -> float:
     return size if np.isfinite(size) else np.inf
 
 
-def beyond_linear(problem: Orthogonal, at: Exterior, prior: PriorOrientation) -> bool:
-    """Whether C_n + K Sigma_0 K^T misleads about one pass through this prior: by more than a tenth of its rotation error."""
+def one_pass_covariance(problem: Orthogonal, at: Exterior, prior: PriorOrientation) -> tuple[np.ndarray, str]:
+    """Covariance (6, 6) of (centre [m], left rotation vector [rad]) of one pass through a prior, and what is to be said of it.
+
+    C_n + K Sigma_0 K^T where that holds. Where it misses a fifth of the mean square of the rotation error, simulated passes;
+    where only the error region is bent, so that errors leave the linear ellipsoid sideways, the mean square with its bias.
+    """
     inverse = np.linalg.inv(prior.root)
     c0, leak = inverse @ inverse.T, problem.statistics(at)
-    if np.trace(c0[3:, 3:]) < np.radians(CERTAIN_DEG) ** 2:
-        return False
     linear = leak.noise + leak.leak @ c0 @ leak.leak.T
+    if np.trace(c0[3:, 3:]) < np.radians(CERTAIN_DEG) ** 2:
+        return linear, ""
     whole = one_pass_error(problem, at, prior)
-    return not 0.8 < np.trace(whole[3:, 3:]) / np.trace(linear[3:, 3:]) < 1.2
+    if not 0.8 < np.trace(whole[3:, 3:]) / np.trace(linear[3:, 3:]) < 1.2:
+        return simulated_error(problem, at, prior), (
+            f"the approximate orientation is too uncertain for linear error theory: the standard errors are those of {RUNS} "
+            "simulated passes, bias included, and such errors are not normal; iterate, or re-centre and use the depth form")
+    scale = np.sqrt(np.diag(linear))
+    root = np.linalg.inv(np.linalg.cholesky(linear / np.outer(scale, scale)))
+    if np.linalg.eigvalsh(root @ (whole / np.outer(scale, scale)) @ root.T)[-1] > BENT:
+        return whole, ("the approximate orientation is uncertain enough to bend the error region of this pass: its bias is part "
+                       "of the standard errors, and they are not those of a normal distribution")
+    return linear, ""

@@ -16,7 +16,7 @@ from ..errors import BadProject, DegenerateGeometry
 from ..geometry import Exterior, LocalFrame, angle_derivatives
 from .control import Control, control_of, geometry_warnings, require
 from .initial import Candidate, apart, candidates
-from .one_pass import RUNS, beyond_linear, simulated_error
+from .one_pass import one_pass_covariance
 from .oriented import to_vector
 from .orthogonal import Form, Orthogonal
 from .orthogonal_c import OrthogonalFreeC
@@ -312,13 +312,8 @@ def _orthogonal_covariance(start: Start, problem: Orthogonal, trace: Trace, loca
         said = [f"one pass: {leak.radius:.2f} of an error of the approximate orientation comes through"]
         if prior is None or prior.count < 6:
             return leak.noise, [*said, "the approximate orientation has no sigmas: its own error is not in the standard errors"]
-        if beyond_linear(problem, near, prior):
-            said.append("the approximate orientation is too uncertain for linear error theory: the standard errors are those of "
-                        f"{RUNS} simulated passes, bias included, and such errors are not normal; iterate, or re-centre and use "
-                        "the depth form")
-            return simulated_error(problem, near, prior, RUNS), said
-        inverse = np.linalg.inv(prior.root)
-        return leak.noise + leak.leak @ (inverse @ inverse.T) @ leak.leak.T, said
+        covariance, words = one_pass_covariance(problem, near, prior)
+        return covariance, [*said, words] if words else said
     said, leak = [], problem.statistics(local)
     used = start.control.take(start.used)
     if leak.radius >= 1:

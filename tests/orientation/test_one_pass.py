@@ -9,7 +9,7 @@ from solvers.adjustment import Options, solve
 from solvers.cameras import project
 from solvers.geometry import Exterior, exp, log
 from solvers.orientation import Orthogonal, PriorOrientation, resect_orthogonal
-from solvers.orientation.one_pass import beyond_linear, one_pass_error
+from solvers.orientation.one_pass import one_pass_covariance, one_pass_error
 from solvers.orientation.single import Request, conclude, prepare
 from tests.synthetic import SEED_CAMERA, SEED_EXTERIOR, block_of, cluster, prior_of
 
@@ -48,21 +48,21 @@ def test_small_errors_come_through_linearly() -> None:
     near = PriorOrientation.of(SEED_EXTERIOR, c0)
     np.testing.assert_allclose(one_pass_error(problem, SEED_EXTERIOR, near), leak.noise + leak.leak @ c0 @ leak.leak.T, rtol=0.02,
                                atol=1e-3 * np.abs(leak.noise).max())
-    assert not beyond_linear(problem, SEED_EXTERIOR, near)
+    assert not one_pass_covariance(problem, SEED_EXTERIOR, near)[1]
 
 
 def test_re_centred_passes_scatter_as_the_linear_leak_says() -> None:
     problem = model(False, 5.0)
     leak, c0 = problem.statistics(SEED_EXTERIOR), np.diag([25.0] * 3 + [np.radians(2.5) ** 2] * 3)
-    assert not beyond_linear(problem, SEED_EXTERIOR, prior(2.5))
+    assert "simulated" not in one_pass_covariance(problem, SEED_EXTERIOR, prior(2.5))[1]
     expected = tilt(leak.noise + leak.leak @ c0 @ leak.leak.T)
     assert scatter(problem, 2.5, 150, np.random.default_rng(4)) == pytest.approx(expected, rel=0.2)
 
 
 def test_where_the_printed_form_leaves_linear_theory_it_is_said() -> None:
     """Far from the centre over flat ground, with a tilt known to 2.5 degrees."""
-    assert beyond_linear(model(True, 0.0), SEED_EXTERIOR, prior(2.5))
-    assert not beyond_linear(model(True, 0.0), SEED_EXTERIOR, prior(0.1))
+    assert "simulated" in one_pass_covariance(model(True, 0.0), SEED_EXTERIOR, prior(2.5))[1]
+    assert not one_pass_covariance(model(True, 0.0), SEED_EXTERIOR, prior(0.1))[1]
     block = block_of(cluster((8.0, 5.0), 4, 6.0, 0.0), SEED_EXTERIOR, noise_px=0.3, prior=prior_of(SEED_EXTERIOR, 2.5, 5.0))
     got = resect_orthogonal(block, "a", one_pass=True, form="printed", recentre=False)
     assert any("simulated passes" in w for w in got.warnings)
