@@ -136,10 +136,10 @@ def conclude(start: Start, trace: Trace) -> Orientation:
     near = min(start.others, key=lambda k: apart(k.exterior, chosen.local), default=None)
     if start.request.model == "perspective" or near is None or _false(control, chosen.local, near.exterior):
         near = None  # else the perspective minimum beside an orthogonal solution, which leads there again
-    others = [o for o in (_alternative(start, k, control) for k in start.others if k is not near) if o is not None]
+    warnings = list(chosen.warnings)
+    others = [o for o in (_alternative(start, k, control, warnings) for k in start.others if k is not near) if o is not None]
     others = [o for o in others if apart(o.local, chosen.local) > SAME]
     d = discrimination(start, chosen.local, control)
-    warnings = list(chosen.warnings)
     if d is not None and d < AMBIGUOUS:
         probability = _normal_probability(d / 2)
         warnings.append(f"ambiguous: a second solution fits almost as well (D = {d:.1f}); the one with the smaller residuals "
@@ -340,8 +340,8 @@ def _orthogonal_covariance(start: Start, problem: Orthogonal, trace: Trace, loca
     return leak.iterated, said
 
 
-def _alternative(start: Start, candidate: Candidate, control: Control) -> Orientation | None:
-    """Another solution of the same model, or None where it does not converge to one."""
+def _alternative(start: Start, candidate: Candidate, control: Control, said: list[str]) -> Orientation | None:
+    """Another solution of the same model, or None where it does not converge to one or has no covariance, which is said."""
     problem, options = start.problem, start.options
     if isinstance(problem, Resection):
         x0 = problem.start(candidate.exterior)
@@ -356,6 +356,9 @@ def _alternative(start: Start, candidate: Candidate, control: Control) -> Orient
     try:
         return _describe(start, trace)
     except DegenerateGeometry:
+        x, y, z = start.frame.to_map(Exterior.from_vector(trace.last.x).centre)
+        said.append(f"another solution has the camera at {x:.2f}, {y:.2f}, {z:.2f} m (chi-square {2 * trace.last.cost:.2f}); its "
+                    "normal matrix is singular (danger cylinder), so it has no standard errors and is not listed")
         return None
 
 
