@@ -120,6 +120,9 @@ class Block:
 
     def image_index(self, name: str) -> int:
         """Position of an image. Raises BadProject naming those there are."""
+        for k, image in enumerate(self.images):
+            if image.name == name:
+                return k
         return _index([i.name for i in self.images], name, "image", self.name)
 
     def point_index(self, name: str) -> int:

@@ -41,6 +41,8 @@ FLAGS = (
     # a page that needs the internet shows itself
     "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1, EXCLUDE localhost",
 )
+PATIENCE = 60.0
+"""How long a wait may take before it is given up, seconds: far more than it takes, for a machine may be busy."""
 LOCAL = re.compile(r"^(data:|blob:|about:|file:|(https?|wss?)://(127\.0\.0\.1|localhost)[:/])")
 REFUSED = re.compile(r"'((?:https?|wss?)://[^']+)'.*Content Security Policy")
 
@@ -107,6 +109,7 @@ def chromium_page(url: str, *, size: tuple[int, int] = (1280, 800), flags: tuple
         try:
             page = browser.new_context(viewport={"width": size[0], "height": size[1]}, device_scale_factor=1,
                                        accept_downloads=True, reduced_motion="reduce").new_page()
+            page.set_default_timeout(1000 * PATIENCE)
             log = Log()
             log.listen(page)
             page.goto(url)
@@ -124,7 +127,7 @@ def viser_page(port: int, *, query: str = "fixedDpr=1", size: tuple[int, int] = 
         yield viser
 
 
-def wait_until(page: Page, predicate: Callable[[], Any], what: str, timeout: float = 10.0) -> None:
+def wait_until(page: Page, predicate: Callable[[], Any], what: str, timeout: float = PATIENCE) -> None:
     """Wait [s] for the Python side. Playwright must be pumped meanwhile, so never sleep in a loop."""
     deadline = time.monotonic() + timeout
     while not predicate():
@@ -149,24 +152,24 @@ class ViserPage:
 
     # -- waits
 
-    def wait_connected(self, timeout: float = 60.0) -> None:
+    def wait_connected(self, timeout: float = PATIENCE) -> None:
         self.page.wait_for_function("() => window.__viserMutable && window.__viserSceneTree && window.__viserTestpoints"
                                     " && window.__viserMutable.canvas && window.__viserMutable.camera", timeout=timeout * 1000)
 
-    def wait_nodes(self, *names: str, timeout: float = 60.0) -> None:
+    def wait_nodes(self, *names: str, timeout: float = PATIENCE) -> None:
         """Until the nodes are in the scene tree and mounted in three.js (labels never are)."""
         self.page.wait_for_function(
             """names => { const tree = window.__viserSceneTree?.getState?.(), nodes = window.__viserMutable?.nodeRefFromName;
                 return tree && nodes && names.every(n => n in tree && nodes[n]); }""", arg=list(names), timeout=timeout * 1000)
 
-    def wait_frames(self, n: int = 2, timeout: float = 60.0) -> None:
+    def wait_frames(self, n: int = 2, timeout: float = PATIENCE) -> None:
         """Until n more frames were drawn; drawing is on demand, so one is asked for."""
         start = self.page.evaluate("() => window.__viserTestpoints.rendererInfo.render.frame")
         self.page.evaluate("() => window.__viserMutable.requestRender()")
         self.page.wait_for_function("t => window.__viserTestpoints.rendererInfo.render.frame >= t", arg=start + n,
                                     timeout=timeout * 1000)
 
-    def wait_still(self, tolerance: float = 0.0, timeout: float = 30.0) -> Image.Image:
+    def wait_still(self, tolerance: float = 0.0, timeout: float = PATIENCE) -> Image.Image:
         """The canvas once two pictures in a row agree: textures decoded, camera at rest."""
         deadline = time.monotonic() + timeout
         last = self.canvas()
@@ -178,7 +181,7 @@ class ViserPage:
             last = now
         raise TimeoutError("the canvas never came to rest")
 
-    def wait_until(self, predicate: Callable[[], Any], what: str, timeout: float = 10.0) -> None:
+    def wait_until(self, predicate: Callable[[], Any], what: str, timeout: float = PATIENCE) -> None:
         wait_until(self.page, predicate, what, timeout)
 
     # -- pictures

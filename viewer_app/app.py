@@ -17,7 +17,7 @@ import viser
 from solvers import Unsupported
 
 from .actions import Action, Say, Tick, update
-from .bridge import LOCAL_HOSTS, Wire, guard_values, open_server
+from .bridge import LOCAL_HOSTS, Wire, controls, guard_values, open_server
 from .flying import Fly, asked_by, flight
 from .home import home
 from .jobs import Jobs
@@ -222,12 +222,14 @@ class App:
     def _tabs(self, gui: viser.GuiApi) -> None:
         """Every tab in its place, and every command in the palette."""
         side, below = gui.add_tab_group(), gui.add_panel()
+        tab_of: dict[str, str] = {}
         for tab in tabs():
             with (side if tab.place == "side" else below).add_tab(tab.name):
                 self._panels.append(tab.make(self._desk))
+            tab_of = {handle._impl.uuid: tab.name for handle in controls(gui)} | tab_of
             for command in tab.commands:
                 self._command(gui, command)
-        complete(gui, {command.label for tab in tabs() for command in tab.commands})
+        complete(gui, {command.label for tab in tabs() for command in tab.commands}, self._wire, tab_of)
         guard_values(self.server)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(410)

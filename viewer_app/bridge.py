@@ -25,6 +25,8 @@ KNOWN = "1.1."
 """The versions of viser this file was written for."""
 
 LOCAL_HOSTS = frozenset({"127.0.0.1", "localhost", "[::1]"})
+FAREWELL = 0.5
+"""How long a page may take to answer that the server closes, seconds; one that draws millions of points does not answer soon."""
 LIMIT = 2000
 """Longest message a wire takes, characters."""
 
@@ -100,7 +102,7 @@ def _guarded(token: str | None, hosts: frozenset[str] | None) -> Iterator[None]:
                 answer.headers["X-Frame-Options"] = "SAMEORIGIN"
             return answer
 
-        return real(handler, host, port, **{**options, "process_request": check})
+        return real(handler, host, port, **{**options, "process_request": check, "close_timeout": FAREWELL})
 
     asyncio_server.serve = serve
     try:
@@ -227,7 +229,7 @@ class Wire:
     """HTML that calls Python: elements made with `attributes` send (kind, value) when clicked or activated by keyboard."""
 
     def __init__(self, server: viser.ViserServer, heard: Callable[[str, Any, int | None], None]) -> None:
-        self._heard = heard
+        self._heard, self._server = heard, server
         self.works = known_version()
         if not self.works:
             return
@@ -243,6 +245,17 @@ class Wire:
         """Give the page a script of a panel's own, written in this package and free of anything a person or a project says."""
         if self.works:
             self._queue(source)
+
+    def reach(self, client_id: int, tab: str, label: str) -> None:
+        """Bring a text box or a file's button of a tab before the keyboard of one browser."""
+        if not self.works:
+            return
+        from viser import _messages
+
+        for client in self._server.get_clients().values():
+            if client.client_id == client_id:
+                source = f"collinea.reach({json.dumps(tab)}, {json.dumps(label)})"
+                client._websock_connection.queue_message(_messages.RunJavascriptMessage(source=source))
 
     async def _update(self, event: Any) -> None:
         if event.client_id is None:
@@ -280,7 +293,7 @@ class Wire:
         if not self.works:
             return ""
         return (
-            f'data-kind="{html.escape(kind)}" onpointerdown="collinea.down(event)" onclick="collinea.point(event)" '
+            f'data-kind="{html.escape(kind)}" onpointerdown="collinea.down(event)" '
             'onwheel="collinea.wheel(event)" '
             'style="cursor:crosshair"'
         )

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from solvers.workflows_monitoring import Monitored, Movements
+from solvers import PhotogrammetryError
+from solvers.workflows_monitoring import Monitored, Movements, read_comparison
 
 from . import theme
 from .acting import Action, handles
@@ -92,6 +93,16 @@ def _exaggerate(state: State, action: Exaggerate) -> State:
 @handles(DrawEllipsoids)
 def _draw_ellipsoids(state: State, action: DrawEllipsoids) -> State:
     return state.with_room(replace(state.room(Epochs), ellipsoids=bool(action.drawn)))
+
+
+def reopened(state: State) -> Action:
+    """The latest comparison of the project that is open, or why there is none."""
+    folder = state.assets.folder
+    try:
+        found = None if folder is None else read_comparison(folder)
+    except PhotogrammetryError as error:
+        return ShowComparison(None, str(error))
+    return ShowComparison(found, "" if found else "This project holds no comparison.")
 
 
 def exaggeration(state: State) -> float:

@@ -41,6 +41,8 @@ class Jobs:
 
     def close(self) -> None:
         for lane in self._lanes.values():
+            lane.leave()
+        for lane in self._lanes.values():
             lane.close()
 
 
@@ -69,10 +71,14 @@ class Lane:
             self._finished &= {task.key for task in tasks}
             self._change.notify_all()
 
-    def close(self) -> None:
+    def leave(self) -> None:
+        """Stop soon, without waiting for it."""
         with self._change:
             self._wanted, self._closed = (), True
             self._change.notify_all()
+
+    def close(self) -> None:
+        self.leave()
         self._thread.join(timeout=10)
         self._end()
 

@@ -14,6 +14,7 @@ from solvers.io.mapped import read_mapped
 from solvers.mosaic import Ground, MosaicPlane, Registration
 
 from .mosaic_state import Layer, Tile
+from .uploads import is_tiff
 
 EVERY, WINDOW, SEARCH = 48, 31, 24
 """px of the mosaic as shown: distance of the windows, their side, how far each is looked for."""
@@ -39,6 +40,10 @@ def layer_work(path: Path, tiles: Mapping[int, Tile], grid: Grid, r: Registratio
             "an uncontrolled mosaic has no map coordinates; make a semicontrolled or controlled one to compare it with "
             f"{path.name}"
         )
+    if path.is_file():
+        with open(path, "rb") as stream:
+            if not is_tiff(stream.read(4)):
+                raise BadProject(f"{path.name} is no TIFF; give a map or orthophoto as GeoTIFF")
     yield f"Reading {path.name}"
     rgba = read_mapped(path, grid)
     corners = Ground(r.frame, MosaicPlane(*map(float, r.plane))).local(grid.corners)

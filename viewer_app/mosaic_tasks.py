@@ -115,10 +115,16 @@ def _layer(made: Made, folder: Path, path: str) -> Task:
     def arrive(value: str | Layer) -> Action:
         return Progressing(value) if isinstance(value, str) else _layered(value)
 
+    file = (folder / path).resolve()
+    if file.is_relative_to(folder.resolve()):
+        call, arguments = layer_work, (file, made.tiles, made.grid, made.registration)
+    else:
+        why = f"{path}: the viewer reads maps within the project's folder only; hand the map over or copy it there"
+        call, arguments = _refuse, (why,)
     return Task(
         ("layer", path),
-        layer_work,
-        (folder / path, made.tiles, made.grid, made.registration),
+        call,
+        arguments,
         arrive,
         lambda why: Ended("layer", why),
         "the comparison with the layer",

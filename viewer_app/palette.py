@@ -6,14 +6,19 @@ from typing import Any
 
 import viser
 
-from .bridge import controls, operate
+from .bridge import Wire, controls, operate
 
 
-def complete(gui: viser.GuiApi, labels: set[str]) -> None:
-    """Commands for the controls whose label is not among those there are."""
+def complete(gui: viser.GuiApi, labels: set[str], wire: Wire, tab_of: dict[str, str]) -> None:
+    """Commands for the controls whose label is not among those there are. tab_of: name of the tab by a control's uuid."""
     for handle in controls(gui):
         label = getattr(handle._impl.props, "label", None)
         if label is None or label == "wire":
+            continue
+        if isinstance(handle, viser.GuiTextHandle | viser.GuiUploadButtonHandle):
+            words = f"{label}: {'type' if isinstance(handle, viser.GuiTextHandle) else 'choose a file'}"
+            hint = getattr(handle._impl.props, "hint", None)
+            gui.add_command(words, description=hint).on_trigger(_reach(wire, tab_of[handle._impl.uuid], label))
             continue
         for words, step in _steps(handle, label):
             if words in labels:
@@ -28,8 +33,6 @@ def _steps(handle: Any, label: str) -> list[tuple[str, Any]]:
     props = handle._impl.props
     if isinstance(handle, viser.GuiButtonGroupHandle):
         return [(f"{label}: {option}", lambda h, option=option: option) for option in props.options]
-    if isinstance(handle, viser.GuiUploadButtonHandle):
-        return []
     if handle._impl.is_button:
         return [(label, lambda h: True)]
     if isinstance(handle, viser.GuiCheckboxHandle):
@@ -41,6 +44,14 @@ def _steps(handle: Any, label: str) -> list[tuple[str, Any]]:
     if isinstance(handle, viser.GuiNumberHandle):
         return [(f"{label}: more", lambda h: _nudged(h, 1)), (f"{label}: less", lambda h: _nudged(h, -1))]
     return []
+
+
+def _reach(wire: Wire, tab: str, label: str) -> Any:
+    async def act(event: viser.CommandEvent) -> None:
+        if event.client_id is not None:
+            wire.reach(event.client_id, tab, label)
+
+    return act
 
 
 def _next(handle: Any) -> str:

@@ -122,8 +122,7 @@ def sight(state: State, model: str, image: str | None = None) -> Sight | None:
     name, solution = image or state.image, state.solution(model, image)
     if solution is None or not solution.rows:
         return None
-    row = min(state.row if name == state.image else len(solution.rows), len(solution.rows) - 1)
-    return _sight(state.work, state.assets, model, name, row)
+    return _sight(state.work, state.assets, model, name, state.row_of(solution, name))
 
 
 @lru_cache(maxsize=16)
@@ -306,7 +305,7 @@ def _bundle(state: State, seen: Sight, path: str) -> Scene:
 def _ellipsoid(state: State, name: str, model: str, exterior: Exterior, path: str, factor: float | None = None) -> Scene:
     """The 95 % error ellipsoid of a centre, a priori; only where the adjustment has ended, for there it holds."""
     solution = state.solution(model, name)
-    ended = solution is not None and (name != state.image or state.row >= len(solution.rows) - 1)
+    ended = solution is not None and state.row_of(solution, name) >= len(solution.rows) - 1
     if not (state.view.ellipsoids and ended and solution and solution.orientation):
         return {}
     values, axes = np.linalg.eigh(solution.orientation.covariance[:3, :3])

@@ -1,15 +1,16 @@
 """The whole state as JSON and back, pure: what was chosen, shown and edited, and every edit that can be undone.
 
 Edits are kept as differences from the project on disk, whose content the session names; where the files have changed meanwhile
-the edits are left out and a sentence says so. Solutions are not kept: they are solved again, to the same numbers.
+the edits are left out and a sentence says so. Solutions, bundle and mosaics are not kept: they are made again, to the same
+numbers.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, fields, replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -19,35 +20,12 @@ from solvers.block import ROLES, Observations, Points
 from .acting import update
 from .actions import Clicking, Set, Show, Speed
 from .actions_measure import SPOTS
-from .bundle_state import Bundle, bundle_choices, bundle_of_choices
-from .lists import Tables
+from .session_rooms import asked_again, rooms_of, rooms_to_json
 from .state import HISTORY, Mark, Settings, Spot, State, View, Work
 
 VERSION = 1
 LARGEST = 20_000
 """Differences kept at most, rows of points and observations; beyond them older edits are not kept."""
-Kind = TypeVar("Kind", bound=type)
-KEPT_ROOMS: dict[str, tuple[type, Callable[[Any], Any], Callable[[Any], Any]]] = {}
-
-
-def kept(to_json: Callable[[Any], Any] = asdict, from_json: Callable[[Any], Any] | None = None) -> Callable[[Kind], Kind]:
-    """Marks a tab's own value (`State.room` or `Work.room`) as part of the session. from_json may raise anything: then it is left
-    out."""
-
-    def mark(kind: Kind) -> Kind:
-        KEPT_ROOMS[kind.__name__] = kind, to_json, from_json or (lambda said: kind(**said))
-        return kind
-
-    return mark
-
-
-def _tables(said: Any) -> Tables:
-    sorting = {str(k): (str(c), bool(d)) for k, (c, d) in said["sorting"].items()}
-    return Tables(sorting, str(said["shown"])[:80])
-
-
-kept(from_json=_tables)(Tables)
-kept(bundle_choices, bundle_of_choices)(Bundle)
 
 
 def fingerprint(block: Block) -> str:
@@ -89,7 +67,7 @@ def to_json(state: State, disk: Block) -> dict[str, Any]:
         "work": works[0],
         "past": _unbroken(past[::-1])[::-1],
         "future": _unbroken(future[::-1])[::-1],
-        "rooms": _rooms_to_json(state.rooms),
+        "rooms": rooms_to_json(state.rooms),
     }
 
 
@@ -115,6 +93,7 @@ def from_json(state: State, said: Any) -> State:
         count += 1 + len(past)
         future = tuple(_work(w, state.work, count + i) for i, w in enumerate(said["future"][-HISTORY:]))
         state = replace(state, work=work, past=past, future=future, next_revision=count + len(future))
+        state = asked_again(state, said["rooms"])
         return replace(_marks(state, said), row=max(int(said["row"]), 0), follow=bool(said["follow"]))
     except Exception as error:  # a file somebody wrote by hand must not keep the viewer from opening
         return replace(state, message=f"The last session could not be taken up ({type(error).__name__}: {error}).")
@@ -128,7 +107,7 @@ def _choices(state: State, said: Mapping[str, Any]) -> State:
     state = update(update(state, Speed(float(said["speed"]))), Clicking(said["click"]))
     if any(i.name == said["image"] for i in state.block.images):
         state = replace(state, image=said["image"])
-    return replace(state, rooms={**state.rooms, **_rooms(said["rooms"])})
+    return replace(state, rooms={**state.rooms, **rooms_of(said["rooms"])})
 
 
 def _marks(state: State, said: Mapping[str, Any]) -> State:
@@ -138,20 +117,6 @@ def _marks(state: State, said: Mapping[str, Any]) -> State:
     mark = said["mark"]
     kept_mark = Mark(mark["point"], float(mark["col"]), float(mark["row"])) if mark and mark["point"] == point else None
     return replace(state, spots=spots, point=point, mark=kept_mark)
-
-
-def _rooms_to_json(rooms: Mapping[type, Any]) -> dict[str, Any]:
-    known = {kind: (name, write) for name, (kind, write, _) in KEPT_ROOMS.items()}
-    return {known[kind][0]: known[kind][1](value) for kind, value in rooms.items() if kind in known}
-
-
-def _rooms(said: Mapping[str, Any]) -> dict[type, Any]:
-    found = {}
-    for name, value in said.items():
-        if name in KEPT_ROOMS:
-            kind, _, read = KEPT_ROOMS[name]
-            found[kind] = read(value)
-    return found
 
 
 def _work_to_json(work: Work, disk: Block) -> dict[str, Any]:
@@ -170,7 +135,7 @@ def _work_to_json(work: Work, disk: Block) -> dict[str, Any]:
         "rows": len(moved) + len(seen),
         "off": sorted(work.off),
         "settings": asdict(work.settings),
-        "rooms": _rooms_to_json(work.rooms),
+        "rooms": rooms_to_json(work.rooms),
         "points": [point(j) for j in moved],
         "observations": [observation(r) for r in seen],
         "lengths": [len(points), len(of)],
@@ -215,7 +180,7 @@ def _work(said: Mapping[str, Any], disk: Work, revision: int) -> Work:
         probe = update(probe, Set(name, value))
     settings = probe.work.settings
     off = frozenset(said["off"]) & set(points.names)
-    return Work(block, off, settings, revision, {}, _rooms(said["rooms"]))
+    return Work(block, off, settings, revision, {}, rooms_of(said["rooms"]))
 
 
 def _points(points: Points, said: list[Any], n: int) -> Points:

@@ -201,12 +201,13 @@ class State:
 
     @property
     def last_row(self) -> int:
-        """Last position of the slider: that of the longest of the chosen image's traces and of those of the tabs (`steps`), of
-        which one may lead: then it alone is stepped through."""
+        """Last position of the slider: that of the longest of the chosen image's traces that are shown and of those of the tabs
+        (`steps`), of which one may lead: then it alone is stepped through."""
         leading = [room.steps for room in self.rooms.values() if getattr(room, "leads", False)]
         if leading:
             return max(leading)
-        own = max((len(s.rows) - 1 for m in COMPARED if (s := self.solution(m)) and s.rows), default=0)
+        models = COMPARED if self.view.compared else MODELS
+        own = max((len(s.rows) - 1 for m in models if (s := self.solution(m)) and s.rows), default=0)
         return max([own, *(getattr(room, "steps", 0) for room in self.rooms.values())])
 
     @property
@@ -214,10 +215,15 @@ class State:
         """Position of the slider within what there is: the wish, `row`, may wait for rows to come."""
         return min(self.row, self.last_row)
 
+    def row_of(self, solution: Solution, image: str | None = None) -> int:
+        """Number of a solution's row that is shown: its last at the slider's end, where it ended earlier, and of other images."""
+        last = len(solution.rows) - 1
+        return min(self.row, last) if image in (None, self.image) and self.row < self.last_row else last
+
     def exterior(self, model: str, image: str | None = None) -> Exterior | None:
         """Local exterior orientation at the row shown, None where there is none."""
         solution = self.solution(model, image)
-        row = solution.row(self.row if image in (None, self.image) else len(solution.rows) - 1) if solution else None
+        row = solution.rows[self.row_of(solution, image)] if solution and solution.rows else None
         return Exterior.from_vector(row.x) if row is not None else None
 
     def control(self) -> tuple[str, ...]:

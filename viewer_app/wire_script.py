@@ -6,6 +6,17 @@ window.collinea = (() => {
   const send = (kind, value) => window.__viserMutable.sendMessage(
     {type: 'GuiUpdateMessage', uuid: UUID, updates: {value: JSON.stringify([kind, value, Date.now() + '-' + count++])}});
   const press = ev => { ev.stopPropagation(); const e = ev.currentTarget; send(e.dataset.kind, e.dataset.value); };
+  // a button drawn anew between press and release is still the button that was pressed; the page itself makes no click of it
+  let held = null;
+  const button = ev => ev.target?.closest?.('[data-kind][role=button]');
+  document.addEventListener('pointerdown', ev => { held = ev.button === 0 ? button(ev) : null; }, true);
+  document.addEventListener('pointerup', ev => {
+    const was = held, now = button(ev);
+    held = null;
+    if (!was || !now || was.isConnected) return;
+    const {kind, value} = now.dataset;
+    if (was.dataset.kind === kind && was.dataset.value === value) send(kind, value);
+  }, true);
   const find = name => [...document.querySelectorAll('[data-focus]')].find(e => e.dataset.focus === name);
   const step = (e, by) => {
     const row = e.closest('tr'), column = e.dataset.focus?.split('/').slice(0, 2).join('/');
@@ -69,11 +80,6 @@ window.collinea = (() => {
   }).observe(document.body, {childList: true, subtree: true});
   const clamp = t => Math.min(1, Math.max(0, t));
   const place = (ev, r) => [clamp((ev.clientX - r.left) / r.width), clamp((ev.clientY - r.top) / r.height)];
-  let dragged = false;
-  const point = ev => {
-    const e = ev.currentTarget;
-    if (!dragged) send(e.dataset.kind, place(ev, e.getBoundingClientRect()));
-  };
   let turned = 0, last = 0;
   const wheel = ev => {
     ev.preventDefault();
@@ -88,7 +94,7 @@ window.collinea = (() => {
     if (ev.button > 1) return;
     const pan = ev.shiftKey || ev.button === 1, moved = ev.currentTarget;
     ev.preventDefault();
-    dragged = false;
+    let dragged = false;
     const kind = ev.currentTarget.dataset.kind, r = ev.currentTarget.getBoundingClientRect(), from = place(ev, r);
     let box = null;
     const move = e => {
@@ -113,12 +119,26 @@ window.collinea = (() => {
       removeEventListener('pointercancel', up, true);
       if (box) box.remove();
       moved.style.transform = '';
-      if (dragged && e.type === 'pointerup') send(kind + (pan ? '-pan' : '-box'), [...from, ...place(e, r)]);
+      if (e.type !== 'pointerup') return;
+      if (dragged) send(kind + (pan ? '-pan' : '-box'), [...from, ...place(e, r)]);
+      else if (!pan) send(kind, place(e, r));
     };
     addEventListener('pointermove', move, true);
     addEventListener('pointerup', up, true);
     addEventListener('pointercancel', up, true);
   };
-  return {press, key, change, typed, point, down, wheel};
+  const reach = (tab, label, until = performance.now() + 3000) => {  // a box to type in gets the focus, a button is pressed
+    const named = (kind, words) => [...document.querySelectorAll(kind)].find(e => e.innerText.trim() === words);
+    const opened = named('[role=tab]', tab);
+    if (opened && opened.getAttribute('aria-selected') !== 'true') opened.click();
+    const box = named('label', label)?.parentElement?.parentElement?.querySelector('input, textarea');
+    const to = box ?? named('button', label), soon = performance.now() < until;
+    if (!to || (soon && (to.offsetParent === null || document.querySelector('[role=dialog]')))) {  // the palette is still closing
+      if (soon) requestAnimationFrame(() => reach(tab, label, until));
+      return;
+    }
+    if (box) { box.focus(); box.select(); } else to.click();
+  };
+  return {press, key, change, typed, down, wheel, reach};
 })();
 """

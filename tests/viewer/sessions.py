@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from itertools import count
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from tests.browser import ViserPage, require_chromium, viser_page
-from viewer_app.actions import Show
+from tests.browser import PATIENCE, ViserPage, require_chromium, viser_page
+from viewer_app.actions import Action, Show
 from viewer_app.app import App
 from viewer_app.paint_viser import frustum_pose
 
@@ -18,25 +20,54 @@ DEMO = Path(__file__).resolve().parents[2] / "assets" / "demo"
 HEAVY = ("terrain", "labels", "photos", "ellipsoids")
 """What costs a renderer without a GPU most."""
 Session = tuple[App, ViserPage]
+COUNT = count(1)
 
 
 @contextlib.contextmanager
 def demo_session(folder: Path, size: tuple[int, int] = (1150, 680), light: bool = True) -> Iterator[Session]:
     """The demo, settled, in a browser; light: without what costs a renderer most."""
-    require_chromium()
     shutil.copytree(DEMO, folder, ignore=shutil.ignore_patterns("runs"))
-    with App(folder) as app, viser_page(app.port, size=size) as v:
-        v.page.set_default_timeout(60_000)
-        settle(app, v)
-        v.dismiss_notifications()
-        for name in HEAVY if light else ():
+    with viewed(folder, size, HEAVY if light else ()) as made:
+        yield made
+
+
+@contextlib.contextmanager
+def viewed(folder: Path, size: tuple[int, int] = (1150, 760), hidden: Sequence[str] = ()) -> Iterator[Session]:
+    """A project, settled, in a browser; what is hidden is never drawn."""
+    require_chromium()
+    with App(folder) as app:
+        for name in hidden:
             app.emit(Show(name, False))
-        settle(app, v)
-        yield app, v
+        with viser_page(app.port, size=size) as v:
+            settle(app, v)
+            v.dismiss_notifications()
+            yield app, v
 
 
 def settle(app: App, v: ViserPage) -> None:
+    """Until every action that was emitted is taken, nothing is left to solve, and the page shows what follows from it.
+
+    Clicks and keys are on their way for a while: wait for what they must bring about (`until`), not for this.
+    """
     v.wait_until(app.settled, "the viewer to settle", 200)
+    number = next(COUNT)
+    app._wire.run(f"window.collineaShown = {number}")  # messages keep their order
+    app.server.flush()
+    v.page.wait_for_function("n => window.collineaShown >= n", arg=number)
+    v.page.evaluate("() => new Promise(done => setTimeout(() => setTimeout(done)))")
+
+
+def act(app: App, v: ViserPage, *actions: Action) -> None:
+    """Take actions, and wait until all that follows from them is there and shown."""
+    for action in actions:
+        app.emit(action)
+    settle(app, v)
+
+
+def until(app: App, v: ViserPage, predicate: Callable[[], Any], what: str, timeout: float = PATIENCE) -> None:
+    """Until something that was not so when a key, click or drag was given is so, and all that follows from it is shown."""
+    v.wait_until(predicate, what, timeout)
+    settle(app, v)
 
 
 def camera_path(app: App, model: str = "perspective", image: str | None = None) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import re
 import shutil
 import zipfile
 from collections.abc import Iterator
@@ -14,12 +15,13 @@ import pytest
 import viser
 from PIL import Image
 
-from tests.browser import ViserPage
-from tests.viewer.sessions import DEMO, HEAVY, Session, camera_path, demo_session, has_pose, settle
-from viewer_app.actions import Show, Step, SwitchPoint
+from tests.browser import PATIENCE, ViserPage
+from tests.viewer.sessions import DEMO, HEAVY, Session, act, camera_path, demo_session, has_pose, settle, until
+from viewer_app.actions import Show, Step, SwitchPoint, Undo
 from viewer_app.app import App
 from viewer_app.bridge import controls
 
+UNIT = re.compile(r"×|°|%|\b(m|mm|px|pixels?|metres|rows?|per second|epochs?|factor|no unit)\b", re.IGNORECASE)
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(200)]
 
 
@@ -61,10 +63,7 @@ def test_every_control_has_a_label_and_a_hint_and_every_number_a_unit(session: S
         seen += 1
         assert props.label.strip() and props.hint and len(props.hint) > 10, props.label
         if isinstance(handle, viser.GuiSliderHandle | viser.GuiNumberHandle):
-            said = f"{props.label} {props.hint}"
-            assert any(u in said for u in ("×", "m", "px", "pixel", "°", "row", "%", "second", "correlation", "no unit")), (
-                props.label
-            )
+            assert UNIT.search(f"{props.label} {props.hint}"), props.label
     assert seen > 40
 
 
@@ -73,20 +72,21 @@ def test_every_control_has_a_command(session: Session) -> None:
     words = " | ".join(commands(app))
     for handle in controls(app.server.gui):
         props: Any = handle._impl.props  # type: ignore[attr-defined]
-        if props.label != "wire" and not isinstance(handle, viser.GuiTextHandle | viser.GuiUploadButtonHandle):
+        if props.label != "wire":
             assert props.label in words, props.label
 
 
 def test_the_palette_steps_and_switches(session: Session) -> None:
     app, v = session
+    act(app, v, Step("last"))
     palette(v, "First row")
     v.wait_until(lambda: app.state.row == 0, "the first row")
     before = app.state.view.rays
     palette(v, "Rays: on or off")
-    v.wait_until(lambda: app.state.view.rays is not before, "the rays")
+    until(app, v, lambda: app.state.view.rays is not before, "the rays")
     v.open_tab("Scene")
-    assert v.page.get_by_label("Rays", exact=True).is_checked() is not before
-    app.emit(Show("rays", before))
+    v.wait_until(lambda: v.page.get_by_label("Rays", exact=True).is_checked() is not before, "the box")
+    act(app, v, Show("rays", before))
     palette(v, "Image: next")
     v.wait_until(lambda: app.state.image != app.state.block.images[0].name, "the next image")
     palette(v, "Residuals ×: more")
@@ -95,13 +95,50 @@ def test_the_palette_steps_and_switches(session: Session) -> None:
     v.wait_until(lambda: app.state.row == app.state.last_row, "the last row")
 
 
+def test_a_text_box_is_reached_by_the_palette(session: Session) -> None:
+    app, v = session
+    v.open_tab("Orientation")
+    palette(v, "Names: type")
+    box = v.row("Names").get_by_role("textbox")
+    v.wait_until(lambda: box.count() == 1 and box.evaluate("e => e === document.activeElement"), "the focus in the box")
+    names = app.state.control()[:5]
+    v.page.keyboard.type(" ".join(names))
+    v.page.keyboard.press("Enter")
+    v.wait_until(lambda: any(getattr(h, "value", None) == " ".join(names) for h in controls(app.server.gui)), "the names typed")
+    palette(v, "Use these points")
+    until(app, v, lambda: set(app.state.control()) == set(names), "the points named")
+    act(app, v, Undo())
+    assert not app.state.work.off
+    v.open_tab("Orientation")
+
+
+def test_a_map_is_handed_over_and_nothing_else(session: Session, tmp_path: Path) -> None:
+    app, v = session
+    folder = app.state.assets.folder
+    assert folder is not None
+    wrong, right = tmp_path / "wrong.tif", tmp_path / "a map.tif"
+    wrong.write_text("<script>alert(1)</script>")
+    right.write_bytes((DEMO / "dem.tif").read_bytes())
+    v.open_tab("Mosaic")
+    v.page.get_by_text("Map under the mosaic", exact=True).click()
+    v.upload("Hand over a map", wrong)
+    v.wait_until(lambda: "wrong.tif is no TIFF" in app.state.message, "the refusal")
+    assert not (folder / "maps").exists()
+    with v.page.expect_file_chooser() as chooser:
+        palette(v, "Hand over a map: choose a file")
+    chooser.value.set_files(right)
+    v.wait_until(lambda: (folder / "maps" / "a_map.tif").is_file(), "the map in the project")
+    assert (folder / "maps" / "a_map.tif").read_bytes() == right.read_bytes()
+    v.page.get_by_text("There is no finished mosaic yet").wait_for()
+    v.open_tab("Orientation")
+
+
 def test_a_dozen_edits_are_undone_and_redone_by_key(session: Session) -> None:
     app, v = session
     before = app.state.work.block
     names = app.state.control()[:6]
-    for name in (*names, *names):
-        app.emit(SwitchPoint(name))
-    v.wait_until(lambda: len(app.state.past) >= 12, "the edits")
+    act(app, v, *map(SwitchPoint, (*names, *names)))
+    assert len(app.state.past) >= 12
     for _ in range(11):
         v.hotkey("Control+z")
     v.wait_until(lambda: app.state.work.off == {names[0]}, "eleven edits taken back")
@@ -117,10 +154,8 @@ def test_a_dozen_edits_are_undone_and_redone_by_key(session: Session) -> None:
 
 def test_leaving_and_coming_back_loses_nothing(session: Session) -> None:
     app, v = session
-    app.emit(Step("first"))
     name = app.state.control()[0]
-    app.emit(SwitchPoint(name))
-    settle(app, v)
+    act(app, v, Step("first"), SwitchPoint(name))
     state = app.state
     v.page.reload()
     v.wait_connected()
@@ -130,14 +165,15 @@ def test_leaving_and_coming_back_loses_nothing(session: Session) -> None:
     v.wait_until(lambda: v.page.locator(f"tr[data-point='{name}']").inner_text().startswith("☐"), "the point's row")
     v.dismiss_notifications()
     v.hotkey("Control+z")
-    app.emit(Step("last"))
+    v.wait_until(lambda: name not in app.state.work.off, "undo")
+    act(app, v, Step("last"))
 
 
 def downloaded(v: ViserPage, button: str, name: str) -> bytes:
     v.open_tab("Export")
     v.click_button(button)
     link = v.page.locator(f"a[download$='.{name}']")
-    link.wait_for(timeout=90_000)
+    link.wait_for(timeout=120_000)
     with v.page.expect_download() as download:
         link.click()
     v.dismiss_notifications()
@@ -162,7 +198,7 @@ def another_page(v: ViserPage, port: int) -> Iterator[ViserPage]:
     page = v.page.context.new_page()
     try:
         page.set_viewport_size({"width": 900, "height": 600})
-        page.set_default_timeout(60_000)
+        page.set_default_timeout(1000 * PATIENCE)
         page.goto(f"http://127.0.0.1:{port}/?fixedDpr=1")
         other = ViserPage(page, v.log)
         other.wait_connected()
@@ -178,27 +214,22 @@ def test_a_restart_reconnects_and_restores_the_state(session: Session, tmp_path_
     first = App(folder)
     try:
         with another_page(session[1], first.port) as v:
-            for name in HEAVY:
-                first.emit(Show(name, False))
-            settle(first, v)
+            act(first, v, *(Show(name, False) for name in HEAVY))
             point = first.state.control()[1]
-            first.emit(SwitchPoint(point))
-            first.emit(Show("rays", False))
-            settle(first, v)
-            first.emit(Step("first"))
-            settle(first, v)
+            act(first, v, SwitchPoint(point), Show("rays", False))
+            act(first, v, Step("first"))
             before = first.state
             first.close()
             with App(folder, port=first.port) as second:
                 assert second.port == first.port
-                v.wait_until(lambda: len(second.server.get_clients()) == 1, "the browser to come back", 60)
+                v.wait_until(lambda: len(second.server.get_clients()) == 1, "the browser to come back")
                 settle(second, v)
                 now = second.state
                 assert (
                     now.work.off == before.work.off == {point} and now.view == before.view and len(now.past) == len(before.past)
                 )
                 assert now.row == 0 and now.image == before.image
-                v.wait_until(lambda: has_pose(second, v, camera_path(second)), "the frustum", 60)
+                v.wait_until(lambda: has_pose(second, v, camera_path(second)), "the frustum")
                 one, two = before.solution("perspective"), now.solution("perspective")
                 assert one and two and one.orientation and two.orientation
                 assert (one.orientation.exterior.vector == two.orientation.exterior.vector).all()

@@ -9,8 +9,8 @@ import pytest
 from playwright.sync_api import Locator
 
 from tests.browser import ViserPage
-from tests.viewer.sessions import Session, demo_session, settle
-from viewer_app.actions import ChooseImage, SwitchPoint
+from tests.viewer.sessions import Session, act, demo_session, settle, until
+from viewer_app.actions import ChooseImage, SwitchPoint, Undo
 from viewer_app.lists import rows_of
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(200)]
@@ -27,10 +27,10 @@ def everything_is_taken_back(session: Session) -> Iterator[None]:
     app, v = session
     before = app.state.work
     yield
+    settle(app, v)
     for _ in range(20):
         if app.state.work is not before:
-            v.hotkey("Control+z")
-            settle(app, v)
+            act(app, v, Undo())
     assert app.state.work.block is before.block and v.log.errors == [] and v.log.external == []
 
 
@@ -56,8 +56,9 @@ def test_a_heading_sorts_up_down_and_back(session: Session) -> None:
     first = shown_names(v, "Points")
     heading = points.locator("th", has_text="Z").first.get_by_role("button")
     heading.click()
-    v.wait_until(lambda: shown_names(v, "Points") == [r.name for r in rows_of(app.state, "points")[0]] != first, "sorted")
-    assert points.locator("th[aria-sort=ascending]").count() == 1
+    v.wait_until(lambda: points.locator("th[aria-sort=ascending]").count() == 1, "sorted")
+    settle(app, v)
+    assert shown_names(v, "Points") == [r.name for r in rows_of(app.state, "points")[0]] != first
     z = [float(box.input_value()) for box in points.locator("input[data-focus^='points/Z/']").all()]
     assert z == sorted(z)
     heading.click()
@@ -74,8 +75,7 @@ def test_a_standard_error_typed_solves_again(session: Session) -> None:
     box.fill("0.5")
     box.press("Enter")
     j = app.state.block.point_index(name)
-    v.wait_until(lambda: app.state.block.points.sigma[j, 2] == 0.5, "the standard error")
-    settle(app, v)
+    until(app, v, lambda: app.state.block.points.sigma[j, 2] == 0.5, "the standard error")
     new = app.state.solution("perspective")
     assert old and new and old.orientation and new.orientation
     assert not np.allclose(new.orientation.covariance, old.orientation.covariance, rtol=1e-6)
@@ -100,13 +100,12 @@ def test_the_keyboard_alone_walks_switches_and_edits(session: Session) -> None:
     v.page.locator(f"[data-focus='points/on/{names[0]}']").focus()
     for name in names[1:3]:
         v.page.keyboard.press("ArrowDown")
-        assert focused(v) == f"points/on/{name}"
+        v.wait_until(lambda name=name: focused(v) == f"points/on/{name}", "the focus one row down")
     v.page.keyboard.press("Space")
-    v.wait_until(lambda: names[2] in app.state.work.off and not app.state.playing, "the point to be off")
-    settle(app, v)
+    until(app, v, lambda: names[2] in app.state.work.off and not app.state.playing, "the point to be off")
     v.wait_until(lambda: focused(v) == f"points/on/{names[2]}", "the focus to stay")
     v.page.keyboard.press("ArrowUp")
-    assert focused(v) == f"points/on/{names[1]}"
+    v.wait_until(lambda: focused(v) == f"points/on/{names[1]}", "the focus one row up")
     v.page.keyboard.press("Enter")
     v.wait_until(lambda: names[1] in app.state.work.off, "the other point to be off")
 
@@ -117,10 +116,9 @@ def test_typing_outlives_the_table_being_drawn_anew(session: Session) -> None:
     box = table(v).locator(f"input[data-focus='points/Y/{name}']")
     box.fill("123.")
     other = app.state.control()[4]
-    app.emit(SwitchPoint(other))
-    settle(app, v)
+    act(app, v, SwitchPoint(other))
     v.wait_until(lambda: v.page.locator(f"[data-focus='points/on/{other}']").inner_text() == "☐", "the table drawn anew")
-    assert box.input_value() == "123." and focused(v) == f"points/Y/{name}"
+    v.wait_until(lambda: box.input_value() == "123." and focused(v) == f"points/Y/{name}", "what was being typed")
     box.press("Escape")
     v.wait_until(lambda: box.input_value() != "123.", "the old value")
     assert app.state.block.points.xyz[app.state.block.point_index(name), 1] != 123.0
@@ -133,9 +131,9 @@ def test_the_place_scrolled_to_stays(session: Session) -> None:
     points.locator(f"tr[data-row='{last}']").scroll_into_view_if_needed()
     top = v.page.evaluate("() => document.querySelector('[data-keep=points]').scrollTop")
     v.page.locator(f"[data-focus='points/on/{last}']").click()
-    v.wait_until(lambda: last in app.state.work.off, "the point to be off")
-    settle(app, v)
-    assert v.page.evaluate("() => document.querySelector('[data-keep=points]').scrollTop") == top
+    until(app, v, lambda: last in app.state.work.off, "the point to be off")
+    v.wait_until(lambda: v.page.locator(f"[data-focus='points/on/{last}']").inner_text() == "☐", "the table drawn anew")
+    v.wait_until(lambda: v.page.evaluate("() => document.querySelector('[data-keep=points]').scrollTop") == top, "its place")
 
 
 def test_control_becomes_check(session: Session) -> None:
@@ -143,8 +141,7 @@ def test_control_becomes_check(session: Session) -> None:
     name = app.state.control()[3]
     table(v)
     v.page.locator(f"[data-focus='points/role/{name}']").click()
-    v.wait_until(lambda: name not in app.state.control(), "the check point")
-    settle(app, v)
+    until(app, v, lambda: name not in app.state.control(), "the check point")
     solution = app.state.solution("perspective")
     assert solution and solution.orientation and name not in solution.orientation.points
     v.wait_until(lambda: v.page.locator(f"[data-focus='points/role/{name}']").inner_text() == "check", "the table")
@@ -174,12 +171,12 @@ def test_an_image_is_chosen_from_the_list(session: Session) -> None:
     v.page.locator(f"[data-focus='images/name/{other}']").press("Enter")
     v.wait_until(lambda: app.state.image == other, "the image")
     v.wait_until(lambda: "font-weight" in (images.locator(f"tr[data-row='{other}']").get_attribute("style") or ""), "its row")
-    app.emit(ChooseImage(first))
-    settle(app, v)
+    act(app, v, ChooseImage(first))
 
 
 def test_every_orientation_stands_with_its_standard_errors(session: Session) -> None:
     app, v = session
+    settle(app, v)
     words = table(v, "Images", "All orientations").inner_text()
     solution = app.state.solution("perspective")
     assert solution and solution.orientation and words.count("±") == 6 * len(app.state.block.images)

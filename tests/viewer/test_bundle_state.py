@@ -194,7 +194,7 @@ def test_a_click_chooses_the_image_whose_picture_it_meets(done: State) -> None:
 
 
 def test_choices_outlive_the_session(state: State) -> None:
-    from viewer_app.session import KEPT_ROOMS
+    from viewer_app.session_rooms import KEPT_ROOMS
 
     kind, to_json, from_json = KEPT_ROOMS["Bundle"]
     now = room(update(update(state, SetBundle("datum", "free")), FreeParameter("k1")))

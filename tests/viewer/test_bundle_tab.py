@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.viewer.sessions import Session, demo_session, settle
+from tests.viewer.sessions import Session, demo_session, settle, until
 from viewer_app.app import App
 from viewer_app.bundle_state import Bundle
 
@@ -40,7 +40,7 @@ def finished(app: App) -> bool:
 def test_a_bundle_is_run_drawn_and_stepped(session: Session) -> None:
     app, v = session
     v.click_button("Run bundle")
-    v.wait_until(lambda: finished(app), "the bundle", 100)
+    until(app, v, lambda: finished(app), "the bundle", 200)
     assert room(app).error == "" and room(app).result is not None
     v.page.get_by_role("status", name="Bundle").get_by_text("39 points").wait_for()
     v.wait_nodes("/bundle/images", "/bundle/points", "/bundle/vectors/check", "/bundle/chosen/camera")
@@ -64,7 +64,7 @@ def test_a_click_in_a_table_chooses_and_flies(session: Session) -> None:
     app, v = session
     if room(app).result is None:
         v.click_button("Run bundle")
-        v.wait_until(lambda: finished(app), "the bundle", 100)
+        until(app, v, lambda: finished(app), "the bundle", 200)
     v.page.get_by_role("table", name="Bundle images").get_by_text("DSC00233", exact=True).click()
     v.wait_until(lambda: app.state.image == "DSC00233", "the image")
     v.page.get_by_text("Residuals in DSC00233").wait_for()
@@ -76,14 +76,15 @@ def test_free_parameters_give_their_correlations_and_an_impossible_datum_a_sente
     app, v = session
     v.page.get_by_text("Free interior parameters", exact=True).click()
     v.set_checkbox("Free c", True)
-    v.wait_until(lambda: room(app).free == ("c",), "the parameter")
+    until(app, v, lambda: room(app).free == ("c",), "the parameter")
     v.set_checkbox("Free k1", True)
-    v.wait_until(lambda: room(app).free == ("c", "k1"), "the parameters")
+    until(app, v, lambda: room(app).free == ("c", "k1"), "the parameters")
     v.click_button("Run bundle")
-    v.wait_until(lambda: finished(app) and len(getattr(room(app).result, "freed", ())) == 2, "the calibration", 100)
+    until(app, v, lambda: finished(app) and len(getattr(room(app).result, "freed", ())) == 2, "the calibration", 200)
     v.page.get_by_role("img", name="Correlations of the interior orientation").wait_for()
     v.page.get_by_role("table", name="Interior of nex").get_by_text("k1").wait_for()
     v.choose("Projection", "orthogonal")
+    until(app, v, lambda: room(app).model == "orthogonal", "the projection")
     v.click_button("Run bundle")
-    v.wait_until(lambda: finished(app) and bool(room(app).error), "the refusal", 100)
+    v.wait_until(lambda: finished(app) and bool(room(app).error), "the refusal", 200)
     v.page.get_by_role("alert").get_by_text("orthogonal").wait_for()

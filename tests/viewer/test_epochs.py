@@ -10,13 +10,12 @@ import pytest
 from solvers import BadProject
 from solvers.cli import main
 from solvers.workflows_monitoring import read_comparison
-from tests.browser import require_chromium, viser_page
+from tests.viewer.sessions import act, viewed
 from viewer_app import theme
 from viewer_app.acting import update
-from viewer_app.app import App
-from viewer_app.epochs import DrawEllipsoids, Epochs, Exaggerate, GoToEpoch, ShowComparison, exaggeration, scene
+from viewer_app.epochs import DrawEllipsoids, Epochs, Exaggerate, GoToEpoch, ShowComparison, exaggeration, reopened, scene
 from viewer_app.loading import open_project
-from viewer_app.panels.epochs import displacements, latest
+from viewer_app.panels.epochs import displacements
 from viewer_app.state import State
 from viewer_app.values import Ellipsoid, Label, PointCloud, Segments
 
@@ -34,7 +33,7 @@ def wall(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def compared(wall: Path) -> State:
     state = open_project(wall / "epoch3")
-    return update(state, latest(state))
+    return update(state, reopened(state))
 
 
 def test_a_comparison_is_read_and_its_last_epoch_shown(compared: State, wall: Path) -> None:
@@ -42,7 +41,7 @@ def test_a_comparison_is_read_and_its_last_epoch_shown(compared: State, wall: Pa
     assert room.compared is not None and room.epoch == room.last == 2 and room.shown is not None
     assert {n for n, m in zip(room.shown.names, room.shown.moved, strict=True) if m} == MOVED
     none = open_project(wall / "epoch1")
-    assert "no comparison" in update(none, latest(none)).room(Epochs).said and scene(none) == {}
+    assert "no comparison" in update(none, reopened(none)).room(Epochs).said and scene(none) == {}
 
 
 def test_vectors_and_ellipsoids_are_exaggerated_alike(compared: State) -> None:
@@ -100,7 +99,7 @@ def test_a_damaged_run_is_said(wall: Path, compared: State) -> None:
         (found.run / "result.json").write_text(text[: len(text) // 2])
         with pytest.raises(BadProject, match="damaged"):
             read_comparison(wall / "epoch3")
-        assert "damaged" in update(compared, latest(compared)).room(Epochs).said
+        assert "damaged" in update(compared, reopened(compared)).room(Epochs).said
     finally:
         (found.run / "result.json").write_text(text)
 
@@ -108,16 +107,12 @@ def test_a_damaged_run_is_said(wall: Path, compared: State) -> None:
 @pytest.mark.browser
 @pytest.mark.timeout(300)
 def test_the_page_shows_epochs(wall: Path) -> None:
-    require_chromium()
-    with App(wall / "epoch3") as app, viser_page(app.port, size=(1280, 800)) as v:
-        v.page.set_default_timeout(60_000)
-        v.wait_until(app.settled, "the viewer to settle", 100)
-        v.dismiss_notifications()
+    with viewed(wall / "epoch3", (1280, 800)) as (app, v):
         v.open_tab("Epochs")
         v.click_button("Show the latest comparison")
         v.wait_nodes("/epochs/vectors/moved", "/epochs/ellipsoids/18")
         v.page.get_by_text("4 of 40 points moved").wait_for()
-        app.emit(GoToEpoch(0))
-        v.wait_until(lambda: app.state.room(Epochs).epoch == 0 and app.settled(), "the first epoch", 60)
+        act(app, v, GoToEpoch(0))
+        assert app.state.room(Epochs).epoch == 0
         v.page.get_by_text("the first epoch, 40 points").wait_for()
         assert v.log.errors == [] and v.log.external == []

@@ -8,26 +8,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.browser import ViserPage, require_chromium, viser_page
+from tests.browser import ViserPage
 from tests.viewer.photo_project import conjugate, make_project
-from viewer_app.actions import Show
+from tests.viewer.sessions import Session, act, settle, until, viewed
 from viewer_app.app import App
 from viewer_app.matching_actions import LookAt, Zoom
 from viewer_app.matching_state import Matching
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]
-Session = tuple[App, ViserPage]
 
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
-    require_chromium()
     folder: Path = make_project(tmp_path_factory.mktemp("matching") / "wall")
-    with App(folder) as app, viser_page(app.port, size=(1150, 760)) as v:
-        v.page.set_default_timeout(60_000)
-        v.wait_until(app.settled, "the viewer to settle", 100)
-        v.dismiss_notifications()
-        app.emit(Show("terrain", False))
+    with viewed(folder, hidden=("terrain",)) as (app, v):
         v.open_tab("Matching")
         v.page.locator("#collinea-left").wait_for()
         yield app, v
@@ -37,7 +31,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
 def nothing_goes_wrong(session: Session) -> Iterator[None]:
     yield
     app, v = session
-    v.wait_until(app.settled, "the viewer to settle", 100)
+    settle(app, v)
     assert v.log.errors == [] and v.log.external == []
 
 
@@ -68,12 +62,13 @@ def shows(app: App, v: ViserPage, side: str) -> bool:
 
 def test_wheel_zooms_about_the_pointer_and_dragging_pans(session: Session) -> None:
     app, v = session
-    app.emit(LookAt("left", 300, 200, 500))
+    act(app, v, LookAt("left", 300, 200, 500))
     v.wait_until(lambda: shows(app, v, "left"), "the look")
     x, y = middle(v, "left")
     v.page.mouse.move(x, y)
     v.page.mouse.wheel(0, -400)
     v.wait_until(lambda: room(app).looks["left"].across < 400, "the wheel")
+    settle(app, v)
     look = room(app).looks["left"]
     assert abs(look.col - 300) < 1.5 and abs(look.row - 200) < 1.5
     v.wait_until(lambda: shows(app, v, "left"), "the zoomed look")
@@ -88,15 +83,17 @@ def test_wheel_zooms_about_the_pointer_and_dragging_pans(session: Session) -> No
     v.page.locator("#collinea-left").focus()
     v.page.keyboard.press("ArrowRight")
     v.wait_until(lambda: room(app).looks["left"].col > dragged + 5, "the key")
+    settle(app, v)
     v.page.get_by_title("all of one").click()
     v.wait_until(lambda: room(app).looks["left"].across > 640, "the whole photo")
 
 
 def test_a_click_is_matched_shown_stepped_accepted_and_undone(session: Session) -> None:
     app, v = session
-    app.emit(LookAt("left", 300, 240, 200))
+    act(app, v, LookAt("left", 300, 240, 200))
     v.wait_until(lambda: shows(app, v, "left"), "the look")
     v.page.mouse.click(*middle(v, "left"))
+    until(app, v, lambda: room(app).current is not None, "the match, for which the machine may have to compile", 250)
     v.page.get_by_text("found in two").wait_for()
     found, at = room(app).current, room(app).at
     assert found is not None and at is not None and found.pixel is not None
@@ -111,9 +108,10 @@ def test_a_click_is_matched_shown_stepped_accepted_and_undone(session: Session) 
     before = warped.get_attribute("src")
     v.nudge_slider("LSM iteration", "Home")
     table.get_by_text("LSM row 0").wait_for()
-    assert warped.get_attribute("src") != before
+    v.wait_until(lambda: warped.get_attribute("src") != before, "the warped template of row 0")
     v.page.get_by_role("button", name="Accept", exact=True).click()
     v.page.get_by_text("m1 is measured in two.").wait_for()
+    settle(app, v)
     assert len(app.state.block.observations) == 2
     assert v.page.locator("#collinea-left [data-point=m1]").count() == 1
     v.hotkey("Control+z")
@@ -123,19 +121,21 @@ def test_a_click_is_matched_shown_stepped_accepted_and_undone(session: Session) 
 
 def test_a_point_proposes_itself_in_all_photos(session: Session) -> None:
     app, v = session
-    app.emit(LookAt("left", 250, 200, 200))
+    act(app, v, LookAt("left", 250, 200, 200))
     v.wait_until(lambda: shows(app, v, "left"), "the look")
     v.page.mouse.click(*middle(v, "left"))
+    until(app, v, lambda: room(app).current is not None, "the match")
     v.page.get_by_text("found in two").wait_for()
     v.click_button("Propose in the other photos")
-    v.wait_until(lambda: len(room(app).found) == 2 and not room(app).asked, "the proposals", 60)
+    v.wait_until(lambda: len(room(app).found) == 2 and not room(app).asked, "the proposals", 200)
     v.page.get_by_role("table", name="Proposals").get_by_role("button", name="three").click()
     v.wait_until(lambda: room(app).second == "three", "the third photo")
     v.page.get_by_label("right photo three").wait_for()
     v.click_button("Accept all found")
     v.page.get_by_text("m1 is measured in two, three.").wait_for()
+    settle(app, v)
     v.page.get_by_text("1 tie points").wait_for()
     pixels = app.state.block.observations.pixel
     for image, pixel in zip(("two", "three"), pixels[1:], strict=True):
         assert np.abs(pixel - conjugate(image, pixels[0])).max() < 0.05
-    app.emit(Zoom("left", 0))
+    act(app, v, Zoom("left", 0))

@@ -4,36 +4,26 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.browser import ViserPage, require_chromium, viser_page
-from viewer_app.actions import Show
+from tests.viewer.sessions import DEMO, HEAVY, Session, act, settle, until, viewed
 from viewer_app.app import App
 from viewer_app.mosaic_actions import ForgetPlaces, Look, to_scene
 from viewer_app.mosaic_state import Mosaic
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]
-Session = tuple[App, ViserPage]
-DEMO = Path(__file__).parents[2] / "assets" / "demo"
 
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
-    require_chromium()
     folder = tmp_path_factory.mktemp("mosaic") / "demo"
     shutil.copytree(DEMO, folder, ignore=shutil.ignore_patterns("runs"))
-    with App(folder) as app, viser_page(app.port, size=(1150, 760)) as v:
-        v.page.set_default_timeout(60_000)
-        v.wait_until(app.settled, "the viewer to settle", 200)
-        v.dismiss_notifications()
-        for name in ("terrain", "photos", "labels", "rays", "bundle", "perspective", "orthogonal"):
-            app.emit(Show(name, False))
+    with viewed(folder, hidden=(*HEAVY, "rays", "bundle", "perspective", "orthogonal")) as (app, v):
         v.open_tab("Mosaic")
         v.click_button("Both")
-        v.wait_until(lambda: len(room(app).made) == 2 and app.settled(), "both mosaics", 200)
+        until(app, v, lambda: len(room(app).made) == 2, "both mosaics", 250)
         yield app, v
 
 
@@ -41,7 +31,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
 def nothing_goes_wrong(session: Session) -> Iterator[None]:
     yield
     app, v = session
-    v.wait_until(app.settled, "the viewer to settle", 200)
+    settle(app, v)
     assert v.log.errors == [] and v.log.external == []
 
 
@@ -54,20 +44,19 @@ def test_tiles_are_shown_and_the_steps_show_the_mosaic_growing(session: Session)
     made = room(app).made["simultaneous"]
     v.wait_nodes(*(f"/mosaic/simultaneous/tiles/{n}" for n in made.tiles), "/mosaic/drift/vectors", "/mosaic/residuals/control")
     v.page.get_by_role("table", name="Drift").wait_for()
-    app.emit(Look("shown", "sequential"))
+    act(app, v, Look("shown", "sequential"))
     v.wait_nodes(f"/mosaic/sequential/tiles/{next(iter(room(app).made['sequential'].tiles))}")
     v.nudge_slider("Registration step", "Home")
     v.page.get_by_text("step 1 of 5").wait_for()
     v.wait_nodes("/mosaic/sequential/box", f"/mosaic/sequential/photos/{room(app).made['sequential'].registration.names[0]}")
     v.nudge_slider("Registration step", "End")
     v.page.get_by_text("step 5 of 5").wait_for()
-    app.emit(Look("shown", "simultaneous"))
+    act(app, v, Look("shown", "simultaneous"))
 
 
 def test_a_click_measures_and_another_finds_a_conjugate_point(session: Session) -> None:
     app, v = session
-    app.emit(Look("click", "measure"))
-    v.wait_until(lambda: room(app).click == "measure" and app.settled(), "the choice")
+    act(app, v, Look("click", "measure"))
     made = room(app).made["simultaneous"]
     r = made.registration
     want = np.mean([r.footprint(k).mean(axis=0) for k in range(len(r.names))], axis=0) + np.array([24.0, 11.0])
@@ -77,16 +66,14 @@ def test_a_click_measures_and_another_finds_a_conjugate_point(session: Session) 
     assert np.linalg.norm(np.array(room(app).places[0]) - want) < 2.0  # metres; a screen pixel is about half of one
     v.page.get_by_role("table", name="Places measured").wait_for()
     v.wait_nodes("/mosaic/measured/lines")
-    app.emit(ForgetPlaces())
-    app.emit(Look("click", "conjugate point"))
-    v.wait_until(lambda: room(app).click != "measure" and app.settled(), "the choice")
+    act(app, v, ForgetPlaces(), Look("click", "conjugate point"))
     before = len(app.state.block.observations)
     v.click_world(place)
     v.page.get_by_text("Conjugate point: found in").wait_for()
-    v.wait_until(app.settled, "the matches", 100)
+    settle(app, v)
     v.click_button("Accept conjugate point")
-    v.wait_until(lambda: len(app.state.block.observations) > before and app.settled(), "the point", 100)
+    until(app, v, lambda: len(app.state.block.observations) > before, "the point")
     made = room(app).made["simultaneous"]
     assert made.block is app.state.block and made.renewed < made.total
     v.click_button("Undo last measurement")
-    v.wait_until(lambda: len(app.state.block.observations) == before and app.settled(), "undo", 100)
+    until(app, v, lambda: len(app.state.block.observations) == before, "undo")

@@ -29,9 +29,18 @@ from viewer_app.actions import (
     Undo,
 )
 from viewer_app.actions_points import EditPoint, SwitchRole
+from viewer_app.bundle_state import Bundle, FreeParameter, RunBundle, SetBundle
+from viewer_app.bundle_tasks import tasks as bundle_tasks
 from viewer_app.keeping import NAME, Keeper, resume
 from viewer_app.lists import SortBy, Tables
 from viewer_app.loading import open_project
+from viewer_app.looking import Looking, Opacity
+from viewer_app.matching_actions import LookAt, Pair, Tune
+from viewer_app.matching_state import Matching
+from viewer_app.mosaic_actions import Choose, Look, MakeMosaic
+from viewer_app.mosaic_state import METHODS, Mosaic
+from viewer_app.mosaic_tasks import tasks as mosaic_tasks
+from viewer_app.photo_view import ZoomPhoto, window
 from viewer_app.session import fingerprint, from_json, to_json
 from viewer_app.state import State, Work
 
@@ -133,6 +142,40 @@ def test_edits_are_left_out_where_the_files_have_changed(folder: Path, edited: S
     assert "have changed" in back.message
 
 
+CHOSEN = (
+    ZoomPhoto(6.0, 0.3, 0.4),
+    Pair("left", "DSC00229"),
+    Pair("right", "DSC00233"),
+    LookAt("left", 2500.0, 1200.0, 900.0),
+    Tune("threshold", 0.7),
+    SetBundle("datum", "both"),
+    FreeParameter("c"),
+    Choose("kind", "uncontrolled"),
+    MakeMosaic("both"),
+    Look("shown", "fade"),
+    Look("swipe", 0.25),
+    Opacity(0.3),
+)
+
+
+def test_what_the_tabs_show_comes_back_and_what_they_made_is_asked_for_again(folder: Path) -> None:
+    fresh = opened(folder)
+    state = fresh
+    for action in CHOSEN:
+        state = update(state, action)
+    back = from_json(fresh, json.loads(json.dumps(to_json(state, fresh.block))))
+    a, b = state.room(Mosaic), back.room(Mosaic)
+    assert (a.ask, a.wanted, a.shown, a.swipe) == (b.ask, b.wanted, b.shown, b.swipe) and set(b.wanted) == set(METHODS)
+    assert {t.key for t in mosaic_tasks(back)} == {t.key for t in mosaic_tasks(state)} != set()
+    assert window(back) == window(state) != window(fresh) and back.room(Looking) == state.room(Looking)
+    m, n = state.room(Matching), back.room(Matching)
+    assert (m.first, m.second, m.looks, m.threshold) == (n.first, n.second, n.looks, n.threshold) and m.looks
+    assert back.room(Bundle).options == state.room(Bundle).options and not bundle_tasks(back)
+    run = update(state, RunBundle())
+    again = from_json(fresh, json.loads(json.dumps(to_json(run, fresh.block))))
+    assert len(bundle_tasks(again)) == 1 and again.room(Bundle).asked == run.room(Bundle).asked
+
+
 def damaged(said: Any, rng: np.random.Generator) -> Any:
     """The same with one thing in it replaced."""
     if isinstance(said, dict) and said and rng.random() < 0.9:
@@ -146,8 +189,11 @@ def damaged(said: Any, rng: np.random.Generator) -> Any:
 
 def test_a_damaged_session_opens_the_project_all_the_same(folder: Path, edited: State) -> None:
     fresh, rng = opened(folder), np.random.default_rng(5)
-    said = json.loads(json.dumps(to_json(edited, fresh.block)))
-    for _ in range(400):
+    chosen = edited
+    for action in CHOSEN:
+        chosen = update(chosen, action)
+    said = json.loads(json.dumps(to_json(chosen, fresh.block)))
+    for _ in range(600):
         back = from_json(fresh, damaged(said, rng))
         block = back.block
         names = block.points.names

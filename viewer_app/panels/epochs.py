@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from solvers import PhotogrammetryError
-from solvers.workflows_monitoring import Movements, read_comparison
+from solvers.workflows_monitoring import Movements
 
-from ..acting import Action
 from ..epochs import (
     EXAGGERATIONS,
     DrawEllipsoids,
     Epochs,
     Exaggerate,
     GoToEpoch,
-    ShowComparison,
     exaggeration,
+    reopened,
     scene,
 )
 from ..state import State
@@ -33,7 +31,7 @@ class EpochsPanel:
     def __init__(self, desk: Desk) -> None:
         gui, emit = desk.gui, desk.emit
         self._read = gui.add_button("Show the latest comparison", hint="Reads the project's latest run of: collinea compare.")
-        self._read.on_click(lambda _: emit(latest(desk.state())))
+        self._read.on_click(lambda _: emit(reopened(desk.state())))
         self._epoch = gui.add_slider("Epoch", 0, 1, 1, 0, hint="Epoch shown: 0 is the first, from which movements count.")
         bind(self._epoch, emit, lambda value: GoToEpoch(round(value)))
         self._factor = gui.add_dropdown("Exaggeration [times]", (FIT, *(f"{v:g}" for v in EXAGGERATIONS)),
@@ -47,21 +45,12 @@ class EpochsPanel:
     def draw(self, state: State) -> None:
         room = state.room(Epochs)
         prop(self._epoch, "max", max(room.last, 1))
-        prop(self._epoch, "disabled", room.last == 0)
+        for handle in (self._epoch, self._factor, self._drawn):
+            prop(handle, "visible", room.compared is not None)
         put(self._epoch, room.epoch)
         put(self._factor, FIT if room.exaggeration == 0 else f"{room.exaggeration:g}")
         put(self._drawn, room.ellipsoids)
         self._text.set(f"<div {BOX}>{_words(state, room)}</div>")
-
-
-def latest(state: State) -> Action:
-    """The latest comparison of the project that is open, or why there is none."""
-    folder = state.assets.folder
-    try:
-        found = None if folder is None else read_comparison(folder)
-    except PhotogrammetryError as error:
-        return ShowComparison(None, str(error))
-    return ShowComparison(found, "" if found else "This project holds no comparison.")
 
 
 def _words(state: State, room: Epochs) -> str:
@@ -94,7 +83,7 @@ TAB = Tab(
     EpochsPanel,
     order=60,
     commands=(
-        Command("Show the latest comparison of epochs", latest),
+        Command("Show the latest comparison of epochs", reopened),
         Command("Next epoch", GoToEpoch(1, relative=True)),
         Command("Previous epoch", GoToEpoch(-1, relative=True)),
     ),

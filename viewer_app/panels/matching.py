@@ -100,7 +100,7 @@ class MatchingPanel:
                 0.95,
                 0.05,
                 0.6,
-                hint="Correlation below which nothing is believed; 0.5 to 0.7 is usual.",
+                hint="Correlation below which nothing is believed; 0.5 to 0.7 is usual; no unit.",
             )
         for handle, name in ((self._window, "window"), (self._search, "search"), (self._threshold, "threshold")):
             bind(handle, emit, lambda value, name=name: Tune(name, float(value)))

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from solvers import PhotogrammetryError
+
 from ..acting import Action
 from ..actions import Say, Undo
 from ..matching_actions import Accept, Reject
@@ -28,6 +30,7 @@ from ..mosaic_state import BLENDS, CLICKS, EXAGGERATIONS, KINDS, METHODS, MODELS
 from ..mosaic_tasks import tasks
 from ..state import State
 from ..tabs import Command, Desk, Tab
+from ..uploads import keep_map
 from .mosaic_words import drift_html, layer_html, measured_html, progress_html, residuals_html, step_html, summary_html
 from .widgets import Html, bind, prop, put
 
@@ -200,6 +203,12 @@ class MosaicPanel:
             self._path = gui.add_text(
                 "Map file", "", hint="A map or orthophoto, GeoTIFF in the project's crs; path from the project's folder."
             )
+            upload = gui.add_upload_button(
+                "Hand over a map",
+                mime_type=".tif,.tiff",
+                hint="A GeoTIFF from this computer, 64 MB at most: it is kept in the project's folder maps and compared at once.",
+            )
+            upload.on_upload(lambda _: self._handed(upload.value.name, upload.value.content))
             self._button(
                 "Compare with map",
                 "Lay the map under the mosaic and measure how the two differ, metres.",
@@ -234,6 +243,19 @@ class MosaicPanel:
                 "the vectors as .rrd, with the same entity paths as here.",
             )
             self._rrd.on_click(lambda event: self._recording(event.client))
+
+    def _handed(self, name: str, content: bytes) -> None:
+        folder = self._desk.state().assets.folder
+        if folder is None:
+            self._desk.emit(Say("These photos have no folder; open a project to keep a map in it."))
+            return
+        try:
+            path = keep_map(folder, name, content)
+        except (PhotogrammetryError, OSError) as error:
+            self._desk.emit(Say(str(error)))
+            return
+        self._path.value = path
+        self._desk.emit(OpenLayer(path))
 
     def _download(self, client: Any) -> None:
         layer = self._desk.state().room(Mosaic).layer

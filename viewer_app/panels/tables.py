@@ -19,7 +19,7 @@ def orientation_values(state: State, model: str) -> tuple[np.ndarray, np.ndarray
     exterior, solution = state.exterior(model), state.solution(model)
     if exterior is None or solution is None:
         return None
-    ended = solution.orientation is not None and state.row >= len(solution.rows) - 1
+    ended = solution.orientation is not None and state.row_of(solution) >= len(solution.rows) - 1
     if ended and solution.orientation:
         final = solution.orientation
         values = np.concatenate([final.exterior.centre, np.degrees(final.exterior.angles)])

@@ -1,0 +1,204 @@
+"""Which of the tabs' own values belong to the session, as JSON and back: what was chosen, asked and measured there.
+
+What took work to make (bundle, mosaics, a comparison of epochs) is not kept but made or read again, to the same numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, replace
+from typing import Any, TypeVar
+
+from .acting import update
+from .bundle_state import Bundle, RunBundle, bundle_choices, bundle_of_choices
+from .epochs import Epochs, GoToEpoch, reopened
+from .lists import Tables
+from .looking import Looking
+from .matching_state import COLOURS, SIDES, Look, Matching
+from .mosaic_state import (
+    BLENDS,
+    CLICKS,
+    EXAGGERATIONS,
+    KINDS,
+    METHODS,
+    MODELS,
+    PLACES,
+    PLANES,
+    SHOWN,
+    Ask,
+    Mosaic,
+)
+from .photo_view import PhotoView
+from .state import State
+
+Kind = TypeVar("Kind", bound=type)
+KEPT_ROOMS: dict[str, tuple[type, Callable[[Any], Any], Callable[[Any], Any]]] = {}
+AGAIN: dict[str, Callable[[State, Any], State]] = {}
+
+
+def kept(
+    to_json: Callable[[Any], Any] = asdict,
+    from_json: Callable[[Any], Any] | None = None,
+    again: Callable[[State, Any], State] | None = None,
+) -> Callable[[Kind], Kind]:
+    """Marks a tab's own value (`State.room` or `Work.room`) as part of the session. from_json may raise anything: then it is left
+    out. again: asks for the work of which only the question is kept, once the state has its project and edits."""
+
+    def mark(kind: Kind) -> Kind:
+        KEPT_ROOMS[kind.__name__] = kind, to_json, from_json or (lambda said: kind(**said))
+        if again is not None:
+            AGAIN[kind.__name__] = again
+        return kind
+
+    return mark
+
+
+def rooms_to_json(rooms: Mapping[type, Any]) -> dict[str, Any]:
+    known = {kind: (name, write) for name, (kind, write, _) in KEPT_ROOMS.items()}
+    return {known[kind][0]: known[kind][1](value) for kind, value in rooms.items() if kind in known}
+
+
+def rooms_of(said: Mapping[str, Any]) -> dict[type, Any]:
+    """Raises whatever a value that does not hold gives rise to."""
+    return {KEPT_ROOMS[name][0]: KEPT_ROOMS[name][2](value) for name, value in said.items() if name in KEPT_ROOMS}
+
+
+def asked_again(state: State, said: Mapping[str, Any]) -> State:
+    """The state with the work wanted that the session's rooms had the results of."""
+    for name, again in AGAIN.items():
+        if name in said:
+            state = again(state, said[name])
+    return state
+
+
+def _number(value: Any, low: float, high: float) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+        raise ValueError(f"{value!r} is not between {low} and {high}")
+    return float(value)
+
+
+def _one(value: Any, offered: Iterable[Any]) -> Any:
+    if not any(value == o and type(value) is type(o) for o in offered):
+        raise ValueError(f"{value!r} is not offered")
+    return value
+
+
+# -- tables, and what the photo pane shows
+
+
+def _tables(said: Any) -> Tables:
+    sorting = {str(k): (str(c), bool(d)) for k, (c, d) in said["sorting"].items()}
+    return Tables(sorting, str(said["shown"])[:80])
+
+
+def _photo(said: Any) -> PhotoView:
+    left, top, width = (_number(said[k], 0.0, 1e6) for k in ("left", "top", "width"))
+    return PhotoView(str(said["image"]), left, top, width, _number(said["pane"], 50.0, 10_000.0))
+
+
+kept(from_json=_tables)(Tables)
+kept(lambda room: {k: getattr(room, k) for k in ("image", "left", "top", "width", "pane")}, _photo)(PhotoView)
+kept(lambda room: {"opacity": room.opacity}, lambda said: Looking("", _number(said["opacity"], 0.0, 1.0)))(Looking)
+
+
+# -- matching
+
+
+def _matching_json(room: Matching) -> dict[str, Any]:
+    names = ("first", "second", "window", "search", "threshold", "colour")
+    return {n: getattr(room, n) for n in names} | {"looks": {side: asdict(look) for side, look in room.looks.items()}}
+
+
+def _matching(said: Any) -> Matching:
+    parts = {s: said["looks"][s] for s in SIDES if s in said["looks"]}
+    looks = {s: Look(*(_number(part[k], -1e6, 1e6) for k in ("col", "row", "across"))) for s, part in parts.items()}
+    window, search = int(_number(said["window"], 7, 61)), int(_number(said["search"], 0, 60))
+    return Matching(str(said["first"]), str(said["second"]), looks, window=window, search=search,
+                    threshold=_number(said["threshold"], 0.3, 0.95), colour=_one(said["colour"], COLOURS))
+
+
+def _matching_again(state: State, said: Any) -> State:
+    """Photos that are no more are not looked at."""
+    room, names = state.room(Matching), {i.name for i in state.block.images}
+    gone = [s for s in SIDES if room.image(s) not in names]
+    if not gone:
+        return state
+    looks = {s: look for s, look in room.looks.items() if s not in gone}
+    first, second = ("" if s in gone else room.image(s) for s in SIDES)
+    return state.with_room(replace(room, first=first, second=second, looks=looks))
+
+
+kept(_matching_json, _matching, _matching_again)(Matching)
+
+
+# -- bundle
+
+
+def _bundle_json(room: Bundle) -> dict[str, Any]:
+    """adjusted: whether there is a bundle that answers to what is chosen."""
+    answered = bool(room.asked) and room.asked[:-1] == room.options
+    return {**bundle_choices(room), "adjusted": answered and (room.result is not None or room.task == "run")}
+
+
+def _bundle_again(state: State, said: Any) -> State:
+    return update(state, RunBundle()) if said.get("adjusted") is True else state
+
+
+kept(_bundle_json, bundle_of_choices, _bundle_again)(Bundle)
+
+
+# -- mosaics
+
+SWITCH = (True, False)
+SHOWS = ("outlines", "thumbnails", "drift", "residuals", "layer_shown")
+
+
+def _mosaic_json(room: Mosaic) -> dict[str, Any]:
+    wanted = {method: asdict(ask) for method, ask in room.wanted.items()}
+    names = ("shown", "swipe", "opacity", "row", "exaggeration", "click", *SHOWS)
+    return {"ask": asdict(room.ask), "wanted": wanted, "places": room.places} | {name: getattr(room, name) for name in names}
+
+
+def _mosaic(said: Any) -> Mosaic:
+    wanted = {m: replace(_ask(said["wanted"][m]), method=m) for m in METHODS if m in said["wanted"]}
+    places = tuple((_number(x, -1e9, 1e9), _number(y, -1e9, 1e9)) for x, y in said["places"][:PLACES])
+    row = None if said["row"] is None else int(_number(said["row"], 0, 1e6))
+    room = Mosaic(_ask(said["ask"]), wanted, {}, _one(said["shown"], SHOWN), _number(said["swipe"], 0, 1),
+                  _number(said["opacity"], 0, 1), row, exaggeration=_number(said["exaggeration"], 0, EXAGGERATIONS[-1]),
+                  click=_one(said["click"], CLICKS), places=places)
+    return replace(room, **{name: _one(said[name], (True, False)) for name in SHOWS})
+
+
+def _ask(said: Any) -> Ask:
+    offered = {"method": METHODS, "kind": KINDS, "model": MODELS, "plane": PLANES, "blend": BLENDS, "seams": SWITCH, "gain": SWITCH}
+    return Ask(**{name: _one(said[name], values) for name, values in offered.items()}, gsd=_number(said["gsd"], 0, 1e4))
+
+
+kept(_mosaic_json, _mosaic)(Mosaic)
+
+
+# -- epochs
+
+
+def _epochs_json(room: Epochs) -> dict[str, Any]:
+    said = {"epoch": room.epoch, "exaggeration": room.exaggeration, "ellipsoids": room.ellipsoids}
+    return {**said, "read": room.compared is not None}
+
+
+def _epochs(said: Any) -> Epochs:
+    factor = _number(said["exaggeration"], 0, EXAGGERATIONS[-1])
+    return Epochs(exaggeration=factor, ellipsoids=_one(said["ellipsoids"], (True, False)))
+
+
+def _epochs_again(state: State, said: Any) -> State:
+    if said.get("read") is not True:
+        return state
+    epoch = said.get("epoch")
+    return update(update(state, reopened(state)), GoToEpoch(epoch if isinstance(epoch, int) and math.isfinite(epoch) else 0))
+
+
+kept(_epochs_json, _epochs, _epochs_again)(Epochs)
+
+
+__all__ = ["AGAIN", "KEPT_ROOMS", "asked_again", "kept", "rooms_of", "rooms_to_json"]

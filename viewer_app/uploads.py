@@ -1,0 +1,47 @@
+"""Files that a browser hands over: a plain name inside the project's folder, and content that is what the name says."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path, PurePosixPath, PureWindowsPath
+
+from solvers import BadProject
+from solvers.io.files import write_atomic
+
+FOLDER = "maps"
+"""Where maps that were handed over lie in the project's folder."""
+TIFF = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
+LONGEST = 80
+
+
+def base_name(name: str) -> str:
+    """The last part of whatever path a browser names, letters, digits, and - _ . alone; "" where nothing is left of it."""
+    last = PurePosixPath(PureWindowsPath(str(name)).name).name
+    return re.sub(r"[^\w.-]+", "_", last, flags=re.ASCII).lstrip(".")[-LONGEST:].lstrip(".")
+
+
+def is_tiff(head: bytes) -> bool:
+    """Whether a file that begins so is a TIFF, of either byte order or size."""
+    return head[:4] in TIFF
+
+
+def keep_map(folder: Path, name: str, content: bytes) -> str:
+    """Keeps a GeoTIFF in the project; gives its path from the project's folder. One of the same name and other content stays.
+
+    Raises BadProject for anything but a TIFF, OSError where the folder cannot be written.
+    """
+    base = base_name(name)
+    if not base.lower().endswith((".tif", ".tiff")) or not is_tiff(content):
+        raise BadProject(f"{base or 'this file'} is no TIFF; hand over a map or orthophoto as GeoTIFF (gdal_translate makes one)")
+    stem, dot, end = base.rpartition(".")
+    for number in range(1, 1000):
+        path = folder / FOLDER / (base if number == 1 else f"{stem}-{number}{dot}{end}")
+        if path.is_file() and path.read_bytes() == content:
+            break
+        if not path.exists():
+            path.parent.mkdir(exist_ok=True)
+            write_atomic(path, lambda stream: stream.write(content))
+            break
+    else:
+        raise BadProject(f"{folder / FOLDER} holds a thousand files named {stem}; remove some")
+    return f"{FOLDER}/{path.name}"
