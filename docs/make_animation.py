@@ -29,11 +29,18 @@ LARGEST = 2_000_000
 
 
 def ready(app: App, v: ViserPage) -> None:
-    """Until the browser shows what the state says."""
+    """Until the browser shows what the state says, and has faded in: three pictures in a row agree."""
     v.wait_until(app.settled, "the viewer", 200)
-    v.wait_frames(2, timeout=120)
-    v.page.wait_for_timeout(2500)  # labels and fonts come after the frame
-    v.wait_frames(1, timeout=120)
+    last, alike = None, 0
+    for _ in range(60):
+        v.wait_frames(2, timeout=120)
+        v.page.wait_for_timeout(1000)  # labels and fonts come after the frame
+        now = v.screenshot().tobytes()
+        alike = alike + 1 if now == last else 0
+        last = now
+        if alike == 2:
+            return
+    raise SystemExit("the page never comes to rest")
 
 
 def still(app: App, size: tuple[int, int], path: Path) -> None:

@@ -117,7 +117,7 @@ def scales(state: State, cell: float, vectors: float | None) -> str:
         return words[0]
     if view.residuals:
         words.append(f"residuals × {vectors:g}")
-    if view.ellipsoids:
+    if view.ellipsoids and view.ellipsoid > 0:
         words.append(f"95 % ellipsoids × {view.ellipsoid:g}")
     return ", ".join(words)
 

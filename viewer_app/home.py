@@ -8,7 +8,7 @@ from solvers import Exterior
 
 from .ground import site
 from .matching_state import Matching
-from .scene import MANY, centres, prior
+from .scene import MANY, centres, position, prior
 from .state import MODELS, State
 
 
@@ -16,6 +16,7 @@ def home(state: State) -> tuple[np.ndarray, np.ndarray, float]:
     """Position (3,), point looked at (3,) and far plane [m]: from the south, high enough to see ground and cameras."""
     low, high = site(state)
     at = [*centres(state)] if len(state.block.images) > MANY else [e.centre for e in _known(state)]
+    at += [p for i in state.block.images[:MANY] if i.prior is not None and (p := position(state, i.name)) is not None]
     network = state.room(Matching).network
     at += [] if network is None else [e.centre for e in network.exteriors.values()]
     corners = np.vstack([low, high, *at])

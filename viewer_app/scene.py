@@ -175,8 +175,9 @@ def centres(state: State) -> np.ndarray:
         found = next((v for m in MODELS if len(v := final_vectors(state.work, m)[1])), None)
         if found is not None:
             return found[:, :3]
-    at = [e.centre for i in state.block.images[: 4 * MANY] if (e := any_exterior(state, i.name))]
-    return np.array(at).reshape(-1, 3)
+    names = [i.name for i in state.block.images[: 4 * MANY]]
+    at = [position(state, n) if (e := any_exterior(state, n)) is None else e.centre for n in names]
+    return np.array([p for p in at if p is not None]).reshape(-1, 3)
 
 
 def _known(state: State) -> np.ndarray:
@@ -198,6 +199,12 @@ def prior(state: State, image: str) -> Exterior | None:
     if given is None or given.centre is None or given.angles is None:
         return None
     return Exterior.from_angles(*given.angles, centre=state.assets.frame.to_local(given.centre))
+
+
+def position(state: State, name: str) -> np.ndarray | None:
+    """Where the project's prior says that an image was taken (3,), in the local frame."""
+    given = state.block.images[state.block.image_index(name)].prior
+    return None if given is None or given.centre is None else state.assets.frame.to_local(given.centre)
 
 
 def _image(state: State, name: str, depth: float) -> Scene:
@@ -233,12 +240,17 @@ def _image(state: State, name: str, depth: float) -> Scene:
     given = prior(state, name)
     if view.georeferenced and chosen and given is not None:
         found[f"{path}/georeferenced/camera"] = Frustum(given, *lens, depth * 0.7, theme.GEOREFERENCED, 1.5)
+    place = position(state, name)
+    if view.georeferenced and given is None and place is not None:
+        arms = place + 0.35 * depth * np.array([[[-1, 0, 0], [1, 0, 0]], [[0, -1, 0], [0, 1, 0]], [[0, 0, -1], [0, 0, 1]]])
+        found[f"{path}/georeferenced/position"] = Segments(arms, theme.GEOREFERENCED, 3.0 if chosen else 1.5)
     truth = state.assets.truth.get(name)
     if view.truth and truth is not None:
         found[f"{path}/truth/camera"] = Frustum(truth, *lens, depth * 0.6, theme.foreground(view.dark), 1.0)
-    at = any_exterior(state, name)
+    somewhere = any_exterior(state, name)
+    at = place if somewhere is None else somewhere.centre
     if view.labels and at is not None and (chosen or not view.compared):
-        found[f"{path}/label"] = Label(name, at.centre + np.array([0, 0, 0.35 * depth]), 1.15 if chosen else 0.9, "bottom-center")
+        found[f"{path}/label"] = Label(name, at + np.array([0, 0, 0.35 * depth]), 1.15 if chosen else 0.9, "bottom-center")
     return found | (_difference(state, path, depth) if chosen else {})
 
 

@@ -171,7 +171,8 @@ def _mosaic(said: Any) -> Mosaic:
 
 
 def _ask(said: Any) -> Ask:
-    offered = {"method": METHODS, "kind": KINDS, "model": MODELS, "plane": PLANES, "blend": BLENDS, "seams": SWITCH, "gain": SWITCH}
+    offered = {"method": METHODS, "kind": KINDS, "model": MODELS, "plane": PLANES, "blend": BLENDS}
+    offered |= {"seams": SWITCH, "gain": SWITCH}
     return Ask(**{name: _one(said[name], values) for name, values in offered.items()}, gsd=_number(said["gsd"], 0, 1e4))
 
 

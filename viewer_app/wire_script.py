@@ -137,7 +137,16 @@ window.collinea = (() => {
       if (soon) requestAnimationFrame(() => reach(tab, label, until));
       return;
     }
-    if (box) { box.focus(); box.select(); } else to.click();
+    if (!box) { to.click(); return; }
+    box.focus();
+    box.select();
+    const since = performance.now();  // the palette gives the focus back to where it was, some time after it has gone
+    const stay = () => {
+      if (performance.now() > since + 1000 || left > since || !box.isConnected) return;
+      if (document.activeElement !== box) box.focus();
+      requestAnimationFrame(stay);
+    };
+    stay();
   };
   return {press, key, change, typed, down, wheel, reach};
 })();

@@ -478,7 +478,7 @@ def test_a_rectangle_on_the_photo_chooses_control_and_all_solutions_stand_beside
     act(app, v, Step("first"))  # one slider steps all of them
     v.wait_until(lambda: "±" not in table.inner_text(), "row 0 in the table")
     act(app, v, Step("last"), Show("compared", False))
-    v.set_text("Names", "G0*")
+    v.set_text("Names of GCPs", "G0*")
     v.click_button("Use these points")
     v.wait_until(lambda: set(app.state.control()) == {n for n in at if n.startswith("G0")}, "the points named")
     act(app, v, UsePoints(""))

@@ -98,8 +98,8 @@ def test_the_palette_steps_and_switches(session: Session) -> None:
 def test_a_text_box_is_reached_by_the_palette(session: Session) -> None:
     app, v = session
     v.open_tab("Orientation")
-    palette(v, "Names: type")
-    box = v.row("Names").get_by_role("textbox")
+    palette(v, "Names of GCPs: type")
+    box = v.row("Names of GCPs").get_by_role("textbox")
     v.wait_until(lambda: box.count() == 1 and box.evaluate("e => e === document.activeElement"), "the focus in the box")
     names = app.state.control()[:5]
     v.page.keyboard.type(" ".join(names))

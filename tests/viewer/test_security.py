@@ -39,7 +39,7 @@ CAMERA = {
 
 def speak(app: App, messages: Sequence[dict[str, Any] | bytes]) -> None:
     """Send messages as a page would, and wait until the last is taken; a socket that is closed on us is opened again."""
-    mark = labelled(app, "Names")
+    mark = labelled(app, "Names of GCPs")
     todo: list[dict[str, Any] | bytes] = [*messages, update(mark, value=f"taken {next(COUNT)}")]
     last = todo[-1]["updates"]["value"]  # type: ignore[index]
 
@@ -84,7 +84,7 @@ def app() -> Any:
 
 
 def test_a_control_takes_only_what_it_offers(app: App) -> None:
-    speed, image, rays, names = (labelled(app, label) for label in ("Rows per second", "Image", "Rays", "Names"))
+    speed, image, rays, names = (labelled(app, label) for label in ("Rows per second", "Image", "Rays", "Names of GCPs"))
     before = [h.value for h in (speed, image, rays, names)]
     wrong = [update(speed, value=v) for v in (1e308, -1, "2", None, [], True, math.nan)]
     wrong += [update(image, value=v) for v in ("../../etc/passwd", 3, None, ["left"])]

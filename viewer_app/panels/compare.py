@@ -27,7 +27,7 @@ class ComparePanel:
         )
         bind(self._cluster, emit, lambda value: UsePoints("" if value == EVERY else value) if value != SOME else None)
         self._names = gui.add_text(
-            "Names", "", hint="Control points to use, such as: G01, G07, G1*. Or drag a rectangle on the photo, tab Photo."
+            "Names of GCPs", "", hint="Control points to use, such as: G01, G07, G1*. Or drag a rectangle in the tab Photo."
         )
         self._use = gui.add_button("Use these points", hint="Only the control points named; everything is solved at once.")
         self._use.on_click(lambda _: emit(UseOnly(tuple(self._names.value.replace(",", " ").split()))))

@@ -132,7 +132,7 @@ class MosaicPanel:
             1.0,
             0.01,
             0.5,
-            hint="Where the swipe's line lies from west to east, or how opaque the sequential mosaic is, 0 to 1.",
+            hint="Where the swipe's line lies from west to east, or how opaque the sequential mosaic is, 0 to 1, no unit.",
         )
         self._opacity = gui.add_slider("Mosaic opacity [share]", 0.0, 1.0, 0.1, 1.0, hint="0: invisible, 1: opaque; no unit.")
         for handle, name in ((self._shown, "shown"), (self._swipe, "swipe"), (self._opacity, "opacity")):

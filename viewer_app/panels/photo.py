@@ -130,8 +130,11 @@ def photo_html(state: State, wire: Wire) -> str:
         'style="cursor:crosshair"', f'style="cursor:crosshair;display:block;overflow:hidden;{grain}{shape};{background}"'
     )
     target = f"click to mark <b>{esc(state.point)}</b>" if state.point else "choose a point, then click the photo to mark it"
+    if not len(state.block.points):
+        target = "no points yet: tie points come from the tab Matching"
     if state.click == "monoplot":
         target = "click for ground coordinates"
+    drawn = "" if scale == 0 else f"circle: observed · {swatch(RESIDUAL)}residual × {scale:g} · "
     missing = "" if has else f"<div {MUTED}>No photo: measurements only.</div>"
     return (
         f"<div {BOX}><div>{esc(state.image)} <span {MUTED}>{camera.width} × {camera.height} px ·</span> {target}</div>{missing}"
@@ -139,7 +142,7 @@ def photo_html(state: State, wire: Wire) -> str:
         f'{shown.width:.6f} {shown.height:.6f}" '
         f"{surface}>{shapes}</svg>"
         f"<div {MUTED}><span data-percent>{percent(state):.0f} %</span> · "
-        f"circle: observed · {swatch(RESIDUAL)}residual × {scale:g} · "
+        f"{drawn}"
         f"wheel zooms, Shift+drag moves, a dragged rectangle uses only the GCPs in it</div></div>"
     )
 

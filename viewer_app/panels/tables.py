@@ -113,7 +113,12 @@ def _unsaid(state: State) -> list[str]:
         return [f"<div {MUTED}>This project has no images yet.</div>"]
     seen = measured(block)[state.image]
     said = []
-    if not seen:
+    if not len(block.points):
+        said.append(
+            "This project has no points: find tie points in the tab Matching, then adjust them in the tab Bundle or make a mosaic; "
+            "ground control comes with a list of points (collinea init)."
+        )
+    elif not seen:
         said.append(
             "No point is measured in this image yet: choose a point, open the tab Photo, click where you see it, place the mark."
         )
@@ -122,7 +127,9 @@ def _unsaid(state: State) -> list[str]:
     found = state.work.solutions
     missing = sum(1 for i in block.images if not any((s := found.get((i.name, m))) and s.rows for m in MODELS))
     if missing and not wanted(state):
-        said.append(f"{missing} of {len(block.images)} images have no solution and are not drawn.")
+        placed = any(i.prior is not None and i.prior.centre is not None for i in block.images)
+        words = "a green cross stands where a position is known" if placed else "they are not drawn"
+        said.append(f"{missing} of {len(block.images)} images have no solution: {words}.")
     return [f"<div {MUTED}>{esc(s)}</div>" for s in said]
 
 
