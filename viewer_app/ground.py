@@ -115,7 +115,7 @@ def scales(state: State, cell: float, vectors: float | None) -> str:
     words = [f"{cell:g} m"]
     if vectors is None:
         return words[0]
-    if view.residuals:
+    if view.residuals and len(state.block.points):
         words.append(f"residuals × {vectors:g}")
     if view.ellipsoids and view.ellipsoid > 0:
         words.append(f"95 % ellipsoids × {view.ellipsoid:g}")

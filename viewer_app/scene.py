@@ -13,7 +13,7 @@ from solvers.orientation import Orientation
 
 from . import theme
 from .bundle_state import exterior as bundled
-from .ground import ground, known_points, nice, points, site
+from .ground import ground, known_points, nice, points, site, symbol_size
 from .kept import by_identity
 from .looking import looked_through
 from .spots import spots
@@ -242,15 +242,16 @@ def _image(state: State, name: str, depth: float) -> Scene:
         found[f"{path}/georeferenced/camera"] = Frustum(given, *lens, depth * 0.7, theme.GEOREFERENCED, 1.5)
     place = position(state, name)
     if view.georeferenced and given is None and place is not None:
-        arms = place + 0.35 * depth * np.array([[[-1, 0, 0], [1, 0, 0]], [[0, -1, 0], [0, 1, 0]], [[0, 0, -1], [0, 0, 1]]])
+        arms = place + symbol_size(state) * np.array([[[-1, 0, 0], [1, 0, 0]], [[0, -1, 0], [0, 1, 0]], [[0, 0, -1], [0, 0, 1]]])
         found[f"{path}/georeferenced/position"] = Segments(arms, theme.GEOREFERENCED, 3.0 if chosen else 1.5)
     truth = state.assets.truth.get(name)
     if view.truth and truth is not None:
         found[f"{path}/truth/camera"] = Frustum(truth, *lens, depth * 0.6, theme.foreground(view.dark), 1.0)
     somewhere = any_exterior(state, name)
     at = place if somewhere is None else somewhere.centre
+    up = 0.35 * depth if somewhere is not None else 1.4 * symbol_size(state)
     if view.labels and at is not None and (chosen or not view.compared):
-        found[f"{path}/label"] = Label(name, at + np.array([0, 0, 0.35 * depth]), 1.15 if chosen else 0.9, "bottom-center")
+        found[f"{path}/label"] = Label(name, at + np.array([0, 0, up]), 1.15 if chosen else 0.9, "bottom-center")
     return found | (_difference(state, path, depth) if chosen else {})
 
 

@@ -130,7 +130,10 @@ window.collinea = (() => {
   const reach = (tab, label, until = performance.now() + 3000) => {  // a box to type in gets the focus, a button is pressed
     const named = (kind, words) => [...document.querySelectorAll(kind)].find(e => e.innerText.trim() === words);
     const opened = named('[role=tab]', tab);
-    if (opened && opened.getAttribute('aria-selected') !== 'true') opened.click();
+    if (opened && opened.getAttribute('aria-selected') !== 'true') {  // tabs listen to the pointer, for they can be dragged
+      const r = opened.getBoundingClientRect(), at = {bubbles: true, isPrimary: true, clientX: r.x + 4, clientY: r.y + 4};
+      for (const kind of ['pointerdown', 'pointerup']) opened.dispatchEvent(new PointerEvent(kind, at));
+    }
     const box = named('label', label)?.parentElement?.parentElement?.querySelector('input, textarea');
     const to = box ?? named('button', label), soon = performance.now() < until;
     if (!to || (soon && (to.offsetParent === null || document.querySelector('[role=dialog]')))) {  // the palette is still closing

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from solvers import Observations, Points
+from solvers.block import Prior
 from solvers.cameras import project
 from tests.viewer.conftest import CAMERA, flat, make_state
 from tests.viewer.test_actions import solve_all  # type: ignore[import-not-found]
@@ -16,6 +18,7 @@ from viewer_app.actions import ChoosePoint, Show, Step, SwitchPoint, update
 from viewer_app.export import frustum_corners, glb, ply
 from viewer_app.flying import Fly
 from viewer_app.ground import lowered, nice
+from viewer_app.home import home
 from viewer_app.paint_viser import equal, frustum_pose
 from viewer_app.picking import pick
 from viewer_app.scene import CHI_95, scene, sight, vector_scale
@@ -205,3 +208,21 @@ def test_the_scene_leaves_as_glb_and_ply(solved: State) -> None:
     low, high = mesh.bounds
     centre = solved.exterior("perspective")
     assert centre is not None and low[2] < -15 and high[2] >= centre.centre[2]
+
+
+def test_an_image_of_which_only_the_position_is_known_is_a_cross_there(state: State) -> None:
+    places = np.array([[500080.0, 5400180.0, 410.0], [500150.0, 5400230.0, 420.0]])
+    images = tuple(replace(i, prior=Prior(centre=p)) for i, p in zip(state.block.images, places, strict=True))
+    nothing = np.empty((0, 3))
+    none = Observations(np.empty(0, int), np.empty(0, int), np.empty((0, 2)), np.empty(0))
+    block = replace(state.block, images=images, points=Points((), nothing, nothing, ()), observations=none)
+    bare = replace(state, work=replace(state.work, block=block), assets=replace(state.assets, truth={}, terrain=None))
+    found = scene(bare)
+    for image, place in zip(images, bare.assets.frame.to_local(places), strict=True):
+        cross = found[f"/images/{image.name}/georeferenced/position"]
+        assert isinstance(cross, Segments) and cross.colour == theme.GEOREFERENCED
+        assert np.allclose(cross.points.mean(axis=(0, 1)), place)
+    eye, at, far = home(bare)
+    assert np.linalg.norm(eye - at) < 10 * np.ptp(places, axis=0).max() < far
+    hidden = scene(replace(bare, view=replace(bare.view, georeferenced=False)))
+    assert not [p for p in hidden if p.endswith("/position")]

@@ -115,8 +115,8 @@ def _unsaid(state: State) -> list[str]:
     said = []
     if not len(block.points):
         said.append(
-            "This project has no points: find tie points in the tab Matching, then adjust them in the tab Bundle or make a mosaic; "
-            "ground control comes with a list of points (collinea init)."
+            "This project has no points: find tie points in the tab Matching, then adjust them in the tab Bundle or make a "
+            "mosaic; ground control comes with a list of points (collinea init)."
         )
     elif not seen:
         said.append(
