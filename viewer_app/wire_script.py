@@ -134,7 +134,9 @@ window.collinea = (() => {
       const r = opened.getBoundingClientRect(), at = {bubbles: true, isPrimary: true, clientX: r.x + 4, clientY: r.y + 4};
       for (const kind of ['pointerdown', 'pointerup']) opened.dispatchEvent(new PointerEvent(kind, at));
     }
-    const box = named('label', label)?.parentElement?.parentElement?.querySelector('input, textarea');
+    let row = named('label', label);
+    while (row && !row.querySelector('input, textarea')) row = row.parentElement;
+    const box = row?.querySelector('input, textarea');
     const to = box ?? named('button', label), soon = performance.now() < until;
     if (!to || (soon && (to.offsetParent === null || document.querySelector('[role=dialog]')))) {  // the palette is still closing
       if (soon) requestAnimationFrame(() => reach(tab, label, until));
@@ -144,8 +146,10 @@ window.collinea = (() => {
     box.focus();
     box.select();
     const since = performance.now();  // the palette gives the focus back to where it was, some time after it has gone
+    let typing = false;
+    box.addEventListener('keydown', () => { typing = true; }, {once: true});
     const stay = () => {
-      if (performance.now() > since + 1000 || left > since || !box.isConnected) return;
+      if (performance.now() > since + 1000 || left > since || typing || !box.isConnected) return;
       if (document.activeElement !== box) box.focus();
       requestAnimationFrame(stay);
     };
