@@ -1,6 +1,6 @@
 """The viewer at scale and under work, with a real browser connected: processor time, bytes and messages on the wire.
 
-    python benchmarks/viewer.py [cameras scrub points photo work]
+    python benchmarks/viewer.py [cameras scrub points photo work recording]
 
 Frame times of a browser without a graphics card are reported, not judged.
 """
@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from solvers import Block, Exterior, Image, Interior, Observations, Points  # noqa: E402
-from solvers.adjustment import Iteration  # noqa: E402
+from solvers.adjustment import Iteration, Trace  # noqa: E402
 from solvers.geometry import LocalFrame  # noqa: E402
 from tests.browser import ViserPage, viser_page  # noqa: E402
 from viewer_app import solving  # noqa: E402
@@ -324,8 +324,42 @@ def photo() -> dict[str, Any]:
     return out
 
 
+def recording(n: int = 1000, n_points: int = 200_000, rows: int = 21) -> dict[str, Any]:
+    """Budget per iteration of a bundle of 1,000 images: 5 ms of processor and 400 kB in the recording."""
+    import rerun as rr
+
+    from viewer_app.rerun_bundle import _Scene
+
+    rng, block = np.random.default_rng(7), many_cameras(n).block
+    turns = np.broadcast_to(np.eye(3).ravel(), (n, 9))
+    centres = np.column_stack([rng.uniform(0, 1200, (n, 2)), np.full(n, 300.0)])
+    xyz = rng.uniform(0, 1200, (n_points, 3)) * [1, 1, 0.02]
+    manifest = {"images": [i.name for i in block.images], "cameras": ["c"], "points": range(n_points), "origin": np.zeros(3)}
+
+    def row(k: int) -> Iteration:
+        x = np.concatenate([np.hstack([centres + 0.1 * 0.5**k, turns]).ravel(), np.zeros(10), (xyz + 0.5**k).ravel()])
+        return Iteration(k, x, 100 * 0.5**k, 1.0, 0.5**k, 0.0, 0.0, 1, "step")
+
+    def written(count: int) -> tuple[float, int]:
+        trace = Trace(tuple(row(k) for k in range(count)), manifest)
+        stream = rr.RecordingStream("collinea", recording_id=f"{count}", send_properties=False)
+        file = Path(tempfile.mkdtemp()) / "recording.rrd"
+        stream.save(file)
+        scene = _Scene(stream, block, manifest, trace.last.x)
+        ms, _ = spent(lambda: scene.rows(trace))
+        stream.disconnect()
+        size = file.stat().st_size
+        shutil.rmtree(file.parent)
+        return ms, size
+
+    written(1)  # what is loaded once is no part of it
+    (one, small), (all_ms, large) = written(2), written(rows)
+    return {"cameras": n, "points": n_points, "ms_per_iteration": (all_ms - one) / (rows - 2),
+            "kB_per_iteration": (large - small) / (rows - 2) / 1e3}
+
+
 CASES: dict[str, Callable[[], dict[str, Any]]] = {
-    "cameras": cameras, "scrub": scrub, "points": points, "photo": photo, "work": work
+    "cameras": cameras, "scrub": scrub, "points": points, "photo": photo, "work": work, "recording": recording
 }
 
 

@@ -358,3 +358,21 @@ def test_a_recording_that_grows_is_handed_on_as_it_grows(tmp_path: Path) -> None
         assert answer.read() == b""
     running.write_text("999999999\n")
     assert not growing(recording)  # nobody makes rows any more
+
+
+def test_frustums_of_a_bundle_end_at_the_corners_of_their_photos() -> None:
+    from viewer_app.rerun_bundle import _Scene
+
+    rng, interior = np.random.default_rng(3), REAL_CAMERA
+    poses = [Exterior.from_angles(*rng.normal(0, 0.3, 3), centre=rng.uniform(-50, 50, 3)) for _ in range(5)]
+    block = block_of(np.eye(3), poses[0], interior)
+    block = replace(block, images=tuple(replace(block.images[0], name=f"I{k}") for k in range(5)))
+    manifest = {"images": [i.name for i in block.images], "cameras": list(block.cameras), "points": (), "origin": np.zeros(3)}
+    x = np.concatenate([np.concatenate([*(np.r_[e.centre, e.m.ravel()] for e in poses)]), np.zeros(10)])
+    strips = np.asarray(_Scene(None, block, manifest, x)._frustums(x[:60].reshape(-1, 12)))
+    plain = replace(interior, xp=0.0, yp=0.0, k1=0.0, k2=0.0, k3=0.0, p1=0.0, p2=0.0, b1=0.0, b2=0.0)
+    w, h = interior.width, interior.height
+    corners = np.array([[0, 0], [w, 0], [w, h], [0, h]]) - 0.5
+    for strip, exterior in zip(strips, poses, strict=True):
+        np.testing.assert_allclose(project(plain, exterior, strip[[0, 1, 3, 7]].astype(float)), corners, atol=0.5)  # as float32
+        np.testing.assert_allclose(strip[[2, 5, 8]], np.tile(exterior.centre, (3, 1)), atol=1e-4)
