@@ -201,7 +201,8 @@ def _warped(made: Any, scratch: Path) -> dict[str, Any]:
 
     for k, name in enumerate(r.names):
         one = replace(r, names=(name,), interiors=(r.interiors[k],), exteriors=r.exteriors[k:k + 1],
-                      homographies=None if r.homographies is None else r.homographies[k:k + 1])
+                      homographies=None if r.homographies is None else r.homographies[k:k + 1],
+                      bends=None if r.bends is None else r.bends[k:k + 1])
         singles.append(scratch / f"{name}.tif")
         compose_photos(one, made.site.photos, singles[-1], ComposeRequest(blend="none"))
     spent = time.process_time() - start

@@ -167,7 +167,8 @@ def placed_at(registration: Registration, k: int, size: tuple[int, int]) -> Plac
     if registration.kind == "exterior":
         return Placed(registration.names[k], interior, registration.exteriors[k])
     zoom = np.array([[s[0], 0, (s[0] - 1) / 2], [0, s[1], (s[1] - 1) / 2], [0, 0, 1]])
-    return Placed(registration.names[k], interior, warp=zoom @ registration.warps[k])
+    bend = None if registration.bends is None else registration.bends[k] * np.repeat(s, 3)
+    return Placed(registration.names[k], interior, warp=zoom @ registration.warps[k], bend=bend)
 
 
 def ground_of(registration: Registration, placed: list[Placed], request: ComposeRequest,
@@ -219,7 +220,8 @@ def _plan(registration: Registration, placed: list[Placed], files: Mapping[str, 
     """A word that changes when the mosaic would."""
     dem = None if request.surface == "plane" else photo_state(Path(request.surface)) if Path(request.surface).is_file() else ""
     each_photo = [(p.name, photo_state(files[p.name]), p.interior.parameters.tolist(), p.interior.pitch.tolist(),
-                   None if p.exterior is None else p.exterior.vector.tolist(), None if p.warp is None else p.warp.tolist())
+                   None if p.exterior is None else p.exterior.vector.tolist(), None if p.warp is None else p.warp.tolist(),
+                   None if p.bend is None else p.bend.tolist())
                   for p in placed]
     text = json.dumps([each_photo, registration.crs, registration.frame.origin.tolist(), registration.plane.tolist(), dem,
                        request.surface, request.gsd, request.resample, request.blend, request.seams, request.gain,

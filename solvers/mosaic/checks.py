@@ -6,7 +6,7 @@ import numpy as np
 
 from ..block import Observations
 from .models import through
-from .registration import Registration, undistorted
+from .registration import Registration
 
 
 def discrepancies(h: np.ndarray, scale: np.ndarray, image: np.ndarray, point: np.ndarray, q: np.ndarray,
@@ -33,9 +33,9 @@ def check_ties(registration: Registration, names: tuple[str, ...], ties: Observa
     out = np.full(len(ties), np.nan)
     rows = np.flatnonzero(place >= 0)
     pixels = np.empty((len(rows), 2))
-    for k, interior in enumerate(registration.interiors):
+    for k in range(len(registration.names)):
         mine = place[rows] == k
-        pixels[mine] = undistorted(interior, ties.pixel[rows[mine]])
+        pixels[mine] = registration.straight(k, ties.pixel[rows[mine]])
     count = int(ties.point.max(initial=-1)) + 1
     out[rows] = discrepancies(registration.warps, np.ones(len(registration.names)), place[rows],
                               np.asarray(ties.point)[rows], pixels, count)

@@ -10,6 +10,7 @@ import numpy as np
 from ..cameras import Interior, project
 from ..errors import DegenerateGeometry
 from ..geometry import Exterior
+from .bends import bent, straightened
 from .registration import distorted, undistorted
 from .surface import Ground
 
@@ -23,12 +24,13 @@ _EDGE = 24
 @dataclass(frozen=True)
 class Placed:
     """A photo with its interior orientation and either its exterior orientation (local frame) or a warp (3, 3): local X, Y, 1 on
-    the plane -> undistorted pixel, third component positive where the photo sees the plane."""
+    the plane -> undistorted pixel, third component positive where the photo sees the plane, and perhaps a bend."""
 
     name: str
     interior: Interior
     exterior: Exterior | None = None
     warp: np.ndarray | None = None
+    bend: np.ndarray | None = None
 
     @cached_property
     def middle(self) -> np.ndarray:
@@ -54,7 +56,8 @@ class Placed:
         assert self.warp is not None
         q = local[..., :2] @ self.warp[:, :2].T + self.warp[:, 2]
         w = np.where((q[..., 2:] > 0) & (q[..., 2:] <= self._deepest), q[..., 2:], np.nan)
-        return distorted(self.interior, q[..., :2] / w)
+        straight = q[..., :2] / w
+        return distorted(self.interior, straight if self.bend is None else bent(self.bend, self.interior, straight))
 
     def on_map(self, pixels: np.ndarray, ground: Ground) -> np.ndarray:
         """Map positions (n, 2) that pixels (n, 2) show; NaN near and beyond the horizon."""
@@ -64,7 +67,9 @@ class Placed:
             rays /= np.linalg.norm(rays, axis=1, keepdims=True)
             return ground.meet(self.exterior.centre, np.where(rays[:, 2:] <= -LOWEST, rays, np.nan))
         assert self.warp is not None
-        q = np.column_stack([undistorted(self.interior, pixels), np.ones(len(pixels))]) @ np.linalg.inv(self.warp).T
+        p = undistorted(self.interior, pixels)
+        p = p if self.bend is None else straightened(self.bend, self.interior, p)
+        q = np.column_stack([p, np.ones(len(p))]) @ np.linalg.inv(self.warp).T
         at = q[:, :2] / np.where(q[:, 2:] * self._deepest >= 1, q[:, 2:], np.nan)
         heights = np.zeros((len(at), 1))
         return ground.frame.to_map(np.concatenate([at, heights], 1))[:, :2]

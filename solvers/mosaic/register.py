@@ -13,7 +13,9 @@ from ..block import Block, Image, Observations, Prior
 from ..cameras import Interior
 from ..errors import BadProject, DegenerateGeometry
 from ..geometry import Exterior, angle_derivatives
-from .checks import discrepancies
+from .bending import bend_photos
+from .bends import bent
+from .checks import check_ties, discrepancies
 from .data import Data, data_of
 from .georeferencing import Placing, placing_of, plane_at
 from .growing import Lost, Step, bounding_box, grow
@@ -25,6 +27,8 @@ from .registration import Level, Method, Registration
 from .simultaneous import Found, homographies, oriented, run, spread, staged, tilted, trace_of, upright
 from .words import weak_photos
 
+MISFIT = 1.5
+"""Residuals over what was expected from which on photos are bent, and a word is said."""
 Model = Literal["auto", "plane", "exterior", "adapted", "bundle"]
 BundleSolver = Callable[[Block, str], Any]
 """bundle(block, datum) adjusts a block whose images have complete priors to start from: the Adjusted of the orientation room."""
@@ -146,13 +150,15 @@ def _simultaneous(data: Data, request: RegistrationRequest, bundle: BundleSolver
         found = _placed(data, place, found, request)
     elif data.level != "uncontrolled":
         found = _moved(place, found)
-    sure = found  # what judges the precision
+    sure, bends = found, None  # what judges the precision
     if model == "adapted":
-        found = _adapted(found, place.data.network(request.loss, control=place.controlled, height=place.height))
+        found, bends = _adapted(place.data, found, place.data.network(request.loss, control=place.controlled,
+                                                                      height=place.height))
     if model == "bundle":
         assert bundle is not None
         adjusted, found, place = _bundled(data, place, found, request, bundle)
-    return _concluded(data, request, model, found, sure, place, lost, adjusted)
+    out = _concluded(data, request, model, found, sure, place, lost, adjusted)
+    return out if bends is None else _with_bends(place.data, out, bends)
 
 
 def _model(data: Data, request: RegistrationRequest, bundle: BundleSolver | None) -> str:
@@ -204,9 +210,10 @@ def _moved(place: Placing, found: Found) -> Found:
     return replace(found, x=problem.pack(photos, place.points(found.xy)))
 
 
-def _adapted(found: Found, net: Network) -> Found:
+def _adapted(data: Data, found: Found, net: Network) -> tuple[Found, np.ndarray | None]:
     """Plane coefficients that stay within a few pixels of the exterior orientations: what is not quite a plane, or not quite a
-    central projection, is shared out so that photos meet, and nothing adds up along the block."""
+    central projection, is shared out so that photos meet, and nothing adds up along the block. Where the photos do not fit as
+    well as their tie points were measured, they bend too: (m, 6)."""
     h, was = found.warps, found.problem
     within = 3.0 * float(np.median(np.linalg.norm(was.residuals(found.x), axis=1) / was.network.weight.mean(axis=1)))
     q = GRID * np.abs(net.q).max(axis=0)
@@ -214,7 +221,24 @@ def _adapted(found: Found, net: Network) -> Found:
     information = np.einsum("gea,geb->ab", j, j) * 8 / (2 * len(q))
     priors = ShapePriors(np.arange(len(h)), h, np.broadcast_to(information, (len(h), 8, 8)))
     problem = Registering(net, Coefficients(), priors)
-    return run(problem, problem.pack(h.reshape(-1, 9), found.xy), "adapted", found)
+    made = run(problem, problem.pack(h.reshape(-1, 9), found.xy), "adapted", found)
+    if spread(problem, made.x) < MISFIT:
+        return made, None
+    return bend_photos(made, data.interiors, np.array([_camera(i) for i in data.interiors]),
+                       within * float(np.median(data.scale)))
+
+
+def _with_bends(data: Data, registration: Registration, bends: np.ndarray) -> Registration:
+    """The registration with its photos bent, its rms that of then."""
+    made = replace(registration, bends=bends)
+    off = check_ties(made, data.names, Observations(data.image, data.point, data.pixels, data.sigma))
+    with np.errstate(invalid="ignore"):
+        central = off[np.isfinite(off) & (off < 5 * max(float(np.nanmedian(off)), data.sigma_px))]
+    ends = [float(np.linalg.norm(bent(b, i, c) - c, axis=1).max()) for b, i in zip(bends, made.interiors, strict=True)
+            for c in [np.array([[0.0, 0], [i.width, 0], [i.width, i.height], [0, i.height]]) - 0.5]]
+    said = (f"photos are bent by up to {max(ends):.1f} px at their corners to meet: ground off the plane, a rolling shutter or "
+            "distortion; how far the mosaic lies from the truth does not show in it")
+    return replace(made, rms_px=float(np.sqrt(np.mean(central**2))), warnings=(*made.warnings, said))
 
 
 def _bundled(data: Data, place: Placing, found: Found, request: RegistrationRequest,
@@ -282,7 +306,7 @@ def _concluded(data: Data, request: RegistrationRequest, model: str, found: Foun
             covariance = np.full((len(keep), *2 * (found.problem.model.size,)), np.nan)
             noise = np.full(len(keep), np.nan)
             said.append(f"nearly rank deficient: {error}")
-        if factor > 1.5:
+        if factor > MISFIT:
             said.append(f"the tie points fit to {factor * data.sigma_px:.2f} px where {data.sigma_px:.2f} px were expected: "
                         "relief off the plane or distortion left in the photos; covariances are scaled by it")
         rms = float(np.sqrt(np.mean((_pixels_off(data, h) ** 2)[_central(data, h)])))

@@ -16,6 +16,7 @@ import numpy as np
 from ..adjustment import Trace
 from ..cameras import Interior, project
 from ..geometry import Exterior, LocalFrame
+from .bends import bent, straightened
 
 Kind = Literal["plane", "exterior"]
 Level = Literal["uncontrolled", "semicontrolled", "controlled"]
@@ -48,7 +49,7 @@ class Registration:
     over c (x right, y up), or k = 6 centre and left rotation vector; NaN of a sequential registration. trace: every step.
     corner_sigma (n,): predicted standard error [unit] of the photo's corners on the mosaic, the
     noise alone. unused: photos that take no part, and why. rejected: control points left out. rms_px:
-    of the tie points.
+    of the tie points. bends (n, 6), kind "plane": what each photo differs by from a central projection, see `bends`; None: not.
     """
 
     kind: Kind
@@ -68,6 +69,7 @@ class Registration:
     warnings: tuple[str, ...] = ()
     unused: Mapping[str, str] = field(default_factory=dict)
     rejected: tuple[str, ...] = ()
+    bends: np.ndarray | None = None
 
     @property
     def crs(self) -> str:
@@ -95,14 +97,20 @@ class Registration:
             return project(interior, self.exteriors[photo], at)
         q = at @ self.warps[photo][:, :2].T + self.warps[photo][:, 2]
         w = np.where(q[..., 2:] > 0, q[..., 2:], np.nan)
-        return distorted(interior, q[..., :2] / w)
+        straight = q[..., :2] / w
+        return distorted(interior, straight if self.bends is None else bent(self.bends[photo], interior, straight))
 
     def on_plane(self, photo: int, pixels: np.ndarray) -> np.ndarray:
         """(..., 2) X, Y on the mosaic plane of measured pixels (..., 2); NaN at and beyond the horizon."""
-        p = undistorted(self.interiors[photo], np.asarray(pixels, float))
+        p = self.straight(photo, np.asarray(pixels, float))
         inverse = np.linalg.inv(self.warps[photo])
         q = p @ inverse[:, :2].T + inverse[:, 2]
         return q[..., :2] / np.where(q[..., 2:] > 0, q[..., 2:], np.nan)
+
+    def straight(self, photo: int, pixels: np.ndarray) -> np.ndarray:
+        """(..., 2) pixels of a central projection for measured ones: undistorted, and without the photo's bend."""
+        p = undistorted(self.interiors[photo], pixels)
+        return p if self.bends is None else straightened(self.bends[photo], self.interiors[photo], p)
 
     def footprint(self, photo: int) -> np.ndarray:
         """(4, 2) X, Y of the photo's outer corners (pixel edges): top left, top right, bottom right, bottom left; NaN for a

@@ -103,7 +103,8 @@ def disturbed(net: Layout, runs: int) -> list[dict[str, Any]]:
             mean = float(np.sqrt((off[good] ** 2).mean(axis=0)).mean()) if good.any() else float("nan")
             seam = net.seam(h[int(np.argmax(good))], q[int(np.argmax(good))]) if good.any() else float("nan")
             rows.append({"kind": net.kind, "relief_m": relief, "corner_px": corner, "method": name, "last_px": last,
-                         "last_p10_px": tenth, "last_p90_px": most, "mean_px": mean, "seam_px": seam, "runs": runs, "came_to_rest": int(good.sum()),
+                         "last_p10_px": tenth, "last_p90_px": most, "mean_px": mean, "seam_px": seam, "runs": runs,
+                         "came_to_rest": int(good.sum()),
                          **_expected(net, name, relief, corner)})
     return rows
 
@@ -192,6 +193,8 @@ def _page(rows: list[dict[str, Any]], harm: list[dict[str, Any]], runs: int) -> 
     bad = [[r["kind"], f"{r['relief_m']:g} m", f"{r['corner_px']:g} px", r["method"], r["last_px"],
             f"{number(r['last_p10_px'], 3)} to {number(r['last_p90_px'], 3)}", r["covariance_px"],
             r["predicted_px"], r["seam_px"], f"{r['came_to_rest']} of {r['runs']}"] for r in harm]
+    harmed = ["network", "relief", "distortion", "method", "last photo", "middle 80 %", "covariance", "predicted", "seams",
+              "came to rest"]
     return f"""# Drift: which registration to use, and why
 
 Written by `collinea study drift --runs {runs}`; every number below comes from that run.
@@ -206,8 +209,9 @@ which the tests compare with runs.
 
 Error of the last photo [px]. A median or rms of 150 runs of the sequential registration would itself scatter by some 15 %.
 Where a control point's place lies halfway between two tie points (strip 80 %, grid 600) the choice between them moves the values
-with 12 GCPs by up to 10 % (20 % with coefficients). "weak": the eight coefficients are nearly undetermined (more than {WEAK_PX:.0f} px predicted, or
-singular: a single column or row of tie points in an overlap is a hinge); `collinea mosaic` says so and names the photos.
+with 12 GCPs by up to 10 % (20 % with coefficients). "weak": the eight coefficients are nearly undetermined (more than
+{WEAK_PX:.0f} px predicted, or singular: a single column or row of tie points in an overlap is a hinge); `collinea mosaic`
+says so and names the photos.
 
 ![Drift along the photos](drift.png)
 
@@ -236,7 +240,7 @@ with heights of its own; "middle 80 %" says what a single one of them may show. 
 heights make nearly all of the drift, so that one block may come out several times better, or worse, than another over the same
 relief: one flight that fits is no proof.
 
-{table(["network", "relief", "distortion", "method", "last photo", "middle 80 %", "covariance", "predicted", "seams", "came to rest"], bad)}
+{table(harmed, bad)}
 
 ![Drift under relief and distortion](drift-systematic.png)
 
