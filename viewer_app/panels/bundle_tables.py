@@ -98,10 +98,10 @@ WORTH = (
     ("redundancy", lambda h: str(h.result.dof)),
     ("σ0", lambda h: "–" if h.result.sigma0 is None else f"{h.result.sigma0:.3f}"),
     ("rms [px]", lambda h: f"{h.result.rms_px:.3f}"),
-    ("control rms [m]", lambda h: "–" if h.result.control_rms is None else " ".join(map(_metres, h.result.control_rms))),
-    ("check rms [m]", lambda h: "–" if h.result.check_rms is None else " ".join(map(_metres, h.result.check_rms))),
-    ("median σ of centres [m]", lambda h: _metres(float(np.median(np.sqrt(np.einsum("nii->n", h.result.image_covariance)))))),
-    ("median σ of points [m]", lambda h: _metres(float(np.median(np.sqrt(np.einsum("nii->n", h.result.covariance)))))),
+    ("control rms [m]", lambda h: "–" if h.result.control_rms is None else " ".join(f"{v:.3f}" for v in h.result.control_rms)),
+    ("check rms [m]", lambda h: "–" if h.result.check_rms is None else " ".join(f"{v:.3f}" for v in h.result.check_rms)),
+    ("σ of centres [m]", lambda h: _metres(float(np.median(np.sqrt(np.einsum("nii->n", h.result.image_covariance)))))),
+    ("σ of points [m]", lambda h: _metres(float(np.median(np.sqrt(np.einsum("nii->n", h.result.covariance)))))),
 )
 
 
