@@ -265,11 +265,12 @@ def vector_factor(state: State) -> float:
 
 
 def ellipsoid_factor(state: State) -> float:
-    """Exaggeration of the 95 % ellipsoids: the one chosen, or one that draws nine tenths of them below a tenth of the site."""
+    """Exaggeration of the 95 % ellipsoids: the one chosen, or one that draws nine tenths of them below a tenth of the
+    site, of many images below their distance."""
     room = state.room(Bundle)
     if room.ellipsoid > 0 or room.result is None:
         return room.ellipsoid or 1.0
-    return _fitted(state, CHI_95 * _usual(room.result), 10)
+    return _fitted(state, CHI_95 * _usual(room.result), max(10, 3 * len(room.result.values) ** 0.5))
 
 
 @by_identity(2)

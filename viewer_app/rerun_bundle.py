@@ -21,7 +21,9 @@ from solvers.block import Block
 from solvers.geometry import LocalFrame
 
 from . import theme
+from .ground import nice
 from .rerun_values import about
+from .scene import CHI_95
 
 if TYPE_CHECKING:
     from solvers.orientation import Adjusted
@@ -30,6 +32,8 @@ ROWS = 60
 """Rows of a trace that are drawn, at most; the first and the last are always."""
 DRAWN = 20000
 """Points that are drawn in every row, at most."""
+SWOLLEN, PHOTOS = 500, 60
+"""Ellipsoids of one kind, the largest, and photos with their residuals, the worst, at most."""
 
 
 def record_bundle(path: str | Path, block: Block, adjusted: Adjusted) -> None:
@@ -44,16 +48,28 @@ def record_bundle(path: str | Path, block: Block, adjusted: Adjusted) -> None:
         stream.set_log_time_enabled(False)
         stream.set_log_tick_enabled(False)
         scene = _Scene(stream, block, trace.manifest, trace.last.x)
+        if adjusted.orientations:
+            worst = max(adjusted.orientations, key=lambda o: o.rms_px).image
+            scene.worst = f"/photos/{rr.escape_entity_path_part(worst)}/**"
         stream.save(unfinished, default_blueprint=scene.blueprint())
         with stream:
             stream.send_recording_name(block.name)
             scene.still()
             scene.end(adjusted)
+            scene.worth(adjusted)
+            scene.photos(adjusted)
             scene.rows(trace)
             scene.curves(trace)
         os.replace(unfinished, path)
     finally:
         unfinished.unlink(missing_ok=True)
+
+
+def _quaternions(m: np.ndarray) -> np.ndarray:
+    """(n, 4) x y z w of rotations (n, 3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_matrix(m).as_quat()
 
 
 class Live:
@@ -95,6 +111,7 @@ class _Scene:
         poses, points = self._parts(x)
         far = np.median(np.linalg.norm(poses[:, :3] - np.median(points, axis=0), axis=1)) if len(points) else 1.0
         size = max(float(far) / 10, 1e-4)
+        self.worst = "/photos/**"
         self.chosen = np.linspace(0, self.n - 1, min(self.n, DRAWN)).astype(int)
         cameras = [block.camera_of(name) for name in manifest["images"]]
         half = np.array([np.array([c.width, c.height]) * c.pitch / 2 / c.c for c in cameras]).reshape(-1, 1, 2)
@@ -116,8 +133,9 @@ class _Scene:
         space = rrb.Spatial3DView(origin="/", name="Block", contents=["/bundle/**", "/points/**"],
                                   background=theme.BACKGROUND_LIGHT, eye_controls=eye)
         curves = rrb.TimeSeriesView(origin="/plots/bundle/log10", name="Convergence (log10)")
+        photo = rrb.Spatial2DView(origin="/photos", name="Residuals in the worst photo", contents=self.worst)
         return rrb.Blueprint(
-            rrb.Horizontal(space, rrb.Vertical(curves, rrb.TextLogView(origin="/log", name="Log"),
+            rrb.Horizontal(space, rrb.Vertical(curves, photo, rrb.TextLogView(origin="/log", name="Log"),
                                                rrb.TextDocumentView(origin="/about", name="About")), column_shares=[2, 1]),
             rrb.TimePanel(state="collapsed", timeline="iteration", fps=2.0, play_state="paused"),
             rrb.BlueprintPanel(state="collapsed"), rrb.SelectionPanel(state="collapsed"), auto_views=False)
@@ -144,6 +162,55 @@ class _Scene:
                                                    show_labels=len(of) <= 60))
         for warning in adjusted.warnings:
             log("/log/bundle/warnings", rr.TextLog(warning, level="WARN"))
+
+    def worth(self, adjusted: Adjusted) -> None:
+        """Vectors from given to adjusted known points, 95 % ellipsoids of images and points, exaggerated as the log says."""
+        import rerun as rr
+
+        self.stream.set_time("iteration", sequence=adjusted.trace.last.index)
+        poses, points = self._parts(adjusted.trace.last.x)
+        extent = float(np.ptp(np.percentile(np.concatenate([points, poses[:, :3]]), [2, 98], axis=0), axis=0).max())
+        off = {p.name: p.off for p in adjusted.points if p.role != "tie" and np.isfinite(p.off).all()}
+        factor = nice(extent / 6 / max((float(np.linalg.norm(v)) for v in off.values()), default=extent))
+        for role, colour in (("control", theme.CONTROL), ("check", theme.RESIDUAL)):
+            of = [k for k, p in enumerate(adjusted.points) if p.role == role and p.name in off]
+            if of:
+                v = np.array([off[adjusted.points[k].name] for k in of])
+                self.stream.log(f"/bundle/vectors/{role}", rr.Arrows3D(origins=points[of] - v, vectors=factor * v, colors=colour))
+        kinds = {"images": (poses[:, :3], np.array([o.covariance[:3, :3] for o in adjusted.orientations]), theme.PERSPECTIVE),
+                 "points": (points, np.array([p.covariance for p in adjusted.points]).reshape(-1, 3, 3), theme.INITIAL)}
+        largest = {k: np.sqrt(np.maximum(np.linalg.eigvalsh(q)[:, -1], 0)) for k, (_, q, _) in kinds.items()}
+        usual = float(np.percentile(np.concatenate(list(largest.values())), 90))
+        apart = max(10.0, 3 * self.m**0.5)
+        swell = max(nice(extent / apart / (CHI_95 * usual)), 1.0) if usual > 0 else 1.0
+        for name, (at, q, colour) in kinds.items():
+            rows = np.argsort(-largest[name], kind="stable")[:SWOLLEN]
+            values, axes = np.linalg.eigh(q[rows])
+            axes[np.linalg.det(axes) < 0, :, 0] *= -1
+            self.stream.log(f"/bundle/ellipsoids/{name}", rr.Ellipsoids3D(
+                centers=at[rows], half_sizes=CHI_95 * swell * np.sqrt(np.maximum(values, 0)), quaternions=_quaternions(axes),
+                colors=colour, line_radii=rr.Radius.ui_points(0.5)))
+        self.stream.log("/log/bundle", rr.TextLog(f"95 % ellipsoids are drawn {swell:g} times, vectors {factor:g} times "
+                                                  "their size"))
+
+    def photos(self, adjusted: Adjusted) -> None:
+        """Residuals of the images on their formats at the last row, the worst first, exaggerated."""
+        import rerun as rr
+
+        of = self.block.observations
+        index = {(int(i), self.block.points.names[j]): k for k, (i, j) in enumerate(zip(of.image, of.point, strict=True))} \
+            if len(of) < DRAWN else {}
+        for o in sorted(adjusted.orientations, key=lambda o: -o.rms_px)[:PHOTOS if index else 0]:
+            camera, image = self.block.camera_of(o.image), self.block.image_index(o.image)
+            at = of.pixel[[index[image, p] for p in o.points]]
+            factor = nice(camera.width / 12 / max(o.rms_px, 1e-6))
+            path = f"/photos/{rr.escape_entity_path_part(o.image)}"
+            label = f"{o.image}: rms {o.rms_px:.2f} px, drawn {factor:g} times"
+            box = rr.Boxes2D(mins=[[0, 0]], sizes=[[camera.width, camera.height]], colors=theme.INITIAL, labels=[label])
+            log = partial(self.stream.log, static=True)  # of the last row, whichever is shown
+            log(f"{path}/format", box)
+            log(f"{path}/residuals", rr.Arrows2D(origins=at, vectors=factor * o.residuals, colors=theme.RESIDUAL))
+            log(f"{path}/marks", rr.Points2D(at, colors=theme.CONTROL, labels=list(o.points), show_labels=False))
 
     def rows(self, trace: Trace) -> None:
         """Some rows of a trace, the first and the last among them."""

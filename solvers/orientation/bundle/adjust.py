@@ -212,7 +212,9 @@ def _exchanged_marks(block: Block, request: BundleRequest, engine: Options | Non
 
 def _suspected(result: Adjusted) -> list[tuple[str, str, str]]:
     """Image and points of the two worst pairs of suspects in the image of the worst one."""
-    worst = result.suspects if result.trace.converged and result.suspects[:1] and result.suspects[0]["kind"] == "image" else ()
+    worst = list(result.suspects)
+    if not result.trace.converged or not worst or worst[0]["kind"] != "image":
+        return []
     return [(worst[0]["image"], worst[0]["point"], s["point"]) for s in worst[1:] if s.get("image") == worst[0]["image"]][:2]
 
 
