@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 EDITIONS = ("2014", "2023", "2024")
+TITLES = {"2023": "Edition 2 (2023)", "2024": "Edition 2, Version 2 (2024)"}
 LEAST = {"2014": 20, "2023": 30, "2024": 30}
 """Check points that an edition asks for at least."""
 RADIAL, VERTICAL = 1.7308, 1.9600
@@ -86,19 +87,22 @@ def _statement(a: Accuracy, edition: str, which: str, rmse: float, chosen: float
     level = chosen if chosen is not None else float(max(1, math.ceil(tested - 1e-9)))
     if edition == "2014":
         return _first_edition(a, which, rmse, level)
-    letter = "H" if which == "horizontal" else "V"
-    title = f"ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2 ({edition})"
-    met = rmse <= level + 1e-9
+    title = f"ASPRS Positional Accuracy Standards for Digital Geospatial Data, {TITLES[edition]}"
+    sub, name, found = _SECOND[which]
+    found = "NVA accuracy" if (edition, which) == ("2023", "vertical") else f"The {found}"
+    value, met = f"RMSE{sub} = {rmse:.1f} (cm)", rmse <= level + 1e-9
     if a.n < LEAST[edition]:
         return (f"This data set was tested as required by {title}. Although the Standards call for a minimum of thirty (30) "
-                f"checkpoints, "
-                f"this test was performed using ONLY {a.n} checkpoints. This data set was produced to meet a {level:g} (cm) "
-                f"RMSE{letter} "
-                f"{which} positional accuracy class. The tested {which} positional accuracy was found to be RMSE{letter} = "
-                f"{rmse:.1f} (cm) using the reduced number of checkpoints." + _missed(met))
-    return (f"This data set was tested to meet {title} for a {level:g} (cm) RMSE{letter} {which} positional accuracy class. "
-            f"The tested "
-            f"{which} positional accuracy was found to be RMSE{letter} = {rmse:.1f} (cm)." + _missed(met))
+                f"checkpoints, this test was performed using ONLY {a.n} checkpoints. This data set was produced to meet a "
+                f"{level:g} (cm) RMSE{sub} {name}. {found} was found to be {value} using the reduced number of checkpoints."
+                + _missed(met))
+    return (f"This data set was tested to meet {title} for a {level:g} (cm) RMSE{sub} {name}. {found} was found to be "
+            f"{value}." + _missed(met))
+
+
+_SECOND = {"horizontal": ("H", "Horizontal Positional Accuracy Class", "tested horizontal positional accuracy"),
+           "vertical": ("V", "Vertical Accuracy Class", "Non-Vegetated Vertical Accuracy (NVA)")}
+"""Subscript, class and what was found, in the words of edition 2."""
 
 
 def _first_edition(a: Accuracy, which: str, rmse: float, level: float) -> str:

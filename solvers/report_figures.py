@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
-COLOURS = {"perspective": "#0072B2", "orthogonal": "#D55E00", "control": "#333333", "check": "#009E73"}
+COLOURS = {"perspective": "#0072B2", "orthogonal": "#DC9518", "georeferenced": "#009E73", "control": "#CC79A7",
+           "check": "#56B4E2", "residual": "#D35E08"}
+"""The legend of the viewer (`viewer_app.theme`); a test holds the two together."""
 MOST_ELLIPSES = 60
 """Points with names and ellipses; more would hide each other."""
 CONFIDENCE_2D = 2.4477
@@ -53,14 +55,14 @@ def plan(points: Sequence[Mapping[str, Any]], enlarged: float) -> str:
             continue
         xy = np.array([p["xy"] for p in of]) - origin
         off = np.array([p["off"][:2] for p in of]) * enlarged
-        ax.plot(*xy.T, mark, color=COLOURS[role], ms=3.5, label=f"{role} point")
-        ax.quiver(*xy.T, *off.T, color=COLOURS[role], angles="xy", scale_units="xy", scale=1, width=0.003)
+        ax.plot(*xy.T, mark, color=COLOURS[role], ms=4, label=f"{role} point", zorder=3)
+        ax.quiver(*xy.T, *off.T, color=COLOURS["residual"], angles="xy", scale_units="xy", scale=1, width=0.003, zorder=2)
         for p, at in zip(of, xy, strict=True):
             if few and p.get("covariance") is not None:
                 w, v = np.linalg.eigh(p["covariance"])
                 size = 2 * CONFIDENCE_2D * np.sqrt(np.maximum(w, 0)) * enlarged
                 ax.add_patch(Ellipse(at, size[1], size[0], angle=np.degrees(np.arctan2(v[1, 1], v[0, 1])), fill=False,
-                                     edgecolor=COLOURS[role], lw=0.7, alpha=0.7))
+                                     edgecolor=COLOURS[role], lw=0.9))
             if few:
                 ax.annotate(p["name"], at, xytext=(3, 3), textcoords="offset points", fontsize=6, color="#555555")
     ax.set_aspect("equal", adjustable="datalim")
@@ -122,11 +124,12 @@ def standardized(w: np.ndarray, critical: float) -> str:
     """Histogram of standardized residuals beside the standard normal they should follow."""
     fig, ax = figure(4.6, 2.4)
     reach = max(4.5, min(8.0, float(np.abs(w).max(initial=0.0)) + 0.5))
-    ax.hist(np.clip(w, -reach, reach), bins=np.linspace(-reach, reach, 37), density=True, color="#9ecae1", edgecolor="white")
+    ax.hist(np.clip(w, -reach, reach), bins=np.linspace(-reach, reach, 37), density=True, color=COLOURS["perspective"], alpha=0.4,
+            edgecolor="white")
     t = np.linspace(-reach, reach, 200)
     ax.plot(t, np.exp(-t**2 / 2) / np.sqrt(2 * np.pi), color="#333333", lw=1)
     for side in (-critical, critical):
-        ax.axvline(side, color="#D55E00", lw=0.8, ls="--")
+        ax.axvline(side, color=COLOURS["residual"], lw=0.8, ls="--")
     ax.set(xlabel="standardized residual w", ylabel="density")
     ax.tick_params(labelsize=7)
     return svg(fig)
@@ -177,7 +180,7 @@ def overlap(outlines: Sequence[np.ndarray], cameras: np.ndarray) -> tuple[str, d
     for ring in rings:
         ax.plot(*(np.vstack([ring, ring[:1]]) - origin).T, color="white", lw=0.5)
     if len(cameras):
-        ax.plot(*(cameras - origin).T, "^", color="#D55E00", ms=4)
+        ax.plot(*(cameras - origin).T, "^", color="black", markeredgecolor="white", markeredgewidth=0.6, ms=5.5)
     bar = fig.colorbar(picture, ax=ax, shrink=0.8, label="photos that see it")
     bar.ax.yaxis.get_major_locator().set_params(integer=True)
     ax.set_xlabel("X [m]" + (f" − {origin[0]:.0f}" if origin.any() else ""))

@@ -21,7 +21,7 @@ solid #888 }
 th, td { padding: .15em .7em .15em 0; vertical-align: top } td.number { text-align: right; white-space: nowrap }
 tr.marked td { background: #fff3e6 } thead { display: table-header-group } tr, figure { break-inside: avoid }
 .how, figcaption { color: #666; font-size: 12px; margin: .2em 0 1em } figure { margin: 1em 0 } figure img { width: 100% }
-figure.narrow img { width: 62% } .warning { border-left: 3px solid #d55e00; padding: .2em .8em; margin: .4em 0; background:
+figure.narrow img { width: 62% } .warning { border-left: 3px solid #d35e08; padding: .2em .8em; margin: .4em 0; background:
 #fff8f2 }
 .statement { border-left: 3px solid #0072b2; padding: .3em .8em; margin: .6em 0 } .note { color: #555; font-size: 12.5px }
 .wide { overflow-x: auto } @page { size: A4; margin: 16mm } @media print { body { margin: 0; max-width: none; font-size: 10pt }

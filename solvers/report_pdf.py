@@ -58,7 +58,7 @@ def _part(part: Part, file: str) -> str:
 def _words(words: Words) -> str:
     text = f"text({_string(words.text)})"
     if words.kind == "warning":
-        return f"#block(width: 100%, inset: (left: 8pt, y: 3pt), stroke: (left: 2pt + rgb(\"#D55E00\")), {text})"
+        return f"#block(width: 100%, inset: (left: 8pt, y: 3pt), stroke: (left: 2pt + rgb(\"#D35E08\")), {text})"
     if words.kind == "statement":
         return f"#block(width: 100%, inset: (left: 8pt, y: 4pt), stroke: (left: 2pt + rgb(\"#0072B2\")), {text})"
     return f"#par(text(size: 9pt, {_string(words.text)}))" if words.kind == "note" else f"#par({text})"

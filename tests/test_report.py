@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from solvers import report_figures
 from solvers.cli import main
 from solvers.errors import BadProject, Unsupported
 from solvers.report_accuracy import Accuracy, remarks, statements
@@ -132,6 +133,38 @@ def test_edition_2_adds_the_survey_and_asks_for_thirty():
     assert f"RMSEV = {100 * a.vertical('2024'):.1f} (cm)" in vertical and "NOT" not in vertical
     few = statements(Accuracy.of(off[:12], np.full((12, 3), 0.02)), "2023", 6, 10)[0]
     assert "minimum of thirty (30) checkpoints" in few and "ONLY 12" in few and "Edition 2 (2023)" in few
+
+
+def test_colours_are_those_of_the_viewer():
+    from viewer_app import theme
+
+    legend = theme.legend() | theme.MODELS
+    assert {k: "#{:02X}{:02X}{:02X}".format(*legend[k]) for k in report_figures.COLOURS} == report_figures.COLOURS
+
+
+def test_the_sentences_are_those_of_each_edition():
+    """Edition 2 as its section 7.16 is quoted in public; edition 1 with the class names of published metadata."""
+    many = Accuracy.of(np.tile([[0.03, 0.04, 0.05], [-0.03, -0.04, -0.05]], (20, 1)), np.zeros((40, 3)))
+    few = Accuracy.of(np.tile([[0.03, 0.04, 0.05], [-0.03, -0.04, -0.05]], (5, 1)), np.zeros((10, 3)))
+    title = "ASPRS Positional Accuracy Standards for Digital Geospatial Data"
+    assert statements(many, "2024", 5, 5) == [
+        f"This data set was tested to meet {title}, Edition 2, Version 2 (2024) for a 5 (cm) RMSEH Horizontal Positional "
+        "Accuracy Class. The tested horizontal positional accuracy was found to be RMSEH = 5.0 (cm).",
+        f"This data set was tested to meet {title}, Edition 2, Version 2 (2024) for a 5 (cm) RMSEV Vertical Accuracy Class. The "
+        "Non-Vegetated Vertical Accuracy (NVA) was found to be RMSEV = 5.0 (cm)."]
+    assert statements(few, "2024", 5, 5)[0] == (
+        f"This data set was tested as required by {title}, Edition 2, Version 2 (2024). Although the Standards call for a "
+        "minimum of thirty (30) checkpoints, this test was performed using ONLY 10 checkpoints. This data set was "
+        "produced to meet a 5 (cm) RMSEH Horizontal Positional Accuracy Class. The tested horizontal positional accuracy was "
+        "found to be RMSEH = 5.0 (cm) using the reduced number of checkpoints.")
+    assert statements(many, "2023", 5, 5)[1].endswith("RMSEV Vertical Accuracy Class. "
+                                                      "NVA accuracy was found to be RMSEV = 5.0 (cm).")
+    assert statements(many, "2014", 5, 5) == [
+        f"This data set was tested to meet {title} (2014) for a 5 (cm) RMSEx / RMSEy Horizontal Accuracy Class. Actual "
+        "positional accuracy was found to be RMSEx = 3.0 (cm) and RMSEy = 4.0 (cm) which equates to Positional Horizontal "
+        "Accuracy = +/- 8.7 (cm) at 95% confidence level.",
+        f"This data set was tested to meet {title} (2014) for a 5 (cm) RMSEz Vertical Accuracy Class. Actual NVA accuracy was "
+        "found to be RMSEz = 5.0 (cm), equating to +/- 9.8 (cm) at 95% confidence level."]
 
 
 def test_a_class_that_nobody_gave_is_said_to_be_chosen_afterwards():
