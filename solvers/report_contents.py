@@ -9,6 +9,7 @@ from typing import Any
 from .block import Block
 from .report_document import Document, Number, Part, Section, Source, Table, Words, pointer
 from .report_material import MOST_ROWS, Material, Wanted, crs_text, left
+from .report_mosaic_quality import mosaic
 from .report_points import accuracy, maps, points
 from .report_tests import correlations, iterations, tests
 
@@ -24,8 +25,8 @@ def contents(m: Material, wanted: Wanted) -> Document:
              "By": f"Collinea {m.version}"}
     sections = [_warnings(m, source), _project(m), _cameras(m, source), _images(m, source), points(m, source),
                 maps(m, source),
-                correlations(source), tests(m, source), iterations(m), _mosaic(m), accuracy(m, source, wanted), _how()]
-    return Document(f"{m.block.name}: orientation report", facts, [s for s in sections if s is not None and s.parts])
+                correlations(source), tests(m, source), iterations(m), mosaic(m), accuracy(m, source, wanted), _how()]
+    return Document(f"{m.block.name}: report", facts, [s for s in sections if s is not None and s.parts])
 
 
 def _warnings(m: Material, source: Source) -> Section:
@@ -65,10 +66,11 @@ def _project(m: Material) -> Section:
     roles = {r: sum(x == r for x in b.points.role) for r in ("control", "check", "tie")}
     rows = [("Project", b.name), ("Coordinate system", crs_text(b)), ("Frame of the adjustment", _frame(b)),
             ("Images", str(len(b.images))), ("Cameras", str(len(b.cameras))),
-            ("Points", ", ".join(f"{n} {r}" for r, n in roles.items() if n)), ("Image observations", str(len(b.observations))),
+            ("Points", ", ".join(f"{n} {r}" for r, n in roles.items() if n) or "none"),
+            ("Image observations", str(len(b.observations))),
             ("Default sigma of an image coordinate", f"{b.image_px:g} px"),
             ("Default sigmas of control X, Y, Z", f"{', '.join(f'{s:g}' for s in b.control_m)} m"),
-            ("Surface", m.surface or "none given: level ground at the control's mean height")]
+            ("Surface", m.surface or ("none given: level ground at the control's mean height" if m.outlines else "none given"))]
     return Section("Project", [Table(("what", "value"), rows)])
 
 
@@ -130,26 +132,6 @@ def _images(m: Material, source: Source) -> Section:
     parts += [Words(f"Advice for {image}: {a['model']}: {'; '.join(a['reasons'])}") for image,
               a in list(advice.items())[:MOST_ROWS]]
     return Section("Images", parts)
-
-
-def _mosaic(m: Material) -> Section | None:
-    if m.mosaic is None:
-        return None
-    source = Source(m.mosaic)
-    used = [i for i in source.get("images", []) if i.get("used", True)]
-    rows: list[Sequence[Any]] = [("run", m.mosaic_run), ("size [px]", f"{source.get('width', '–')} × "
-                                                                      f"{source.get('height', '–')}"),
-                                 ("images used", f"{len(used)} of {len(source.get('images', []))}"),
-                                 ("tie points, rms [px]", source.number("rms_px", 2)),
-                                 ("seams, rms [grey values]", source.number("seam_rms", 2))]
-    check = source.get("check_rms_m")
-    if isinstance(check, list):
-        rows += [(f"check points, rms {c} [m]", source.number(f"check_rms_m.{k}")) for k, c in enumerate("XYZ"[:len(check)])]
-    elif check is not None:
-        rows.append(("check points, rms [m]", source.number("check_rms_m")))
-    return Section("Mosaic", [Table(("what", "value"), rows, "", "Seams do not measure drift: a mosaic whose seams fit can "
-                                                                 "still be bent. Believe check "
-                                    "points.")])
 
 
 def _how() -> Section:

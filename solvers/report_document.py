@@ -36,6 +36,13 @@ class Table:
     how: str = ""
     marked: frozenset[int] = frozenset()
 
+    @property
+    def right(self) -> tuple[bool, ...]:
+        """Columns of numbers only, which are set to the right."""
+        columns = [[row[c] for row in self.rows] for c in range(len(self.header))]
+        return tuple(any(isinstance(v, Number | int) for v in cells)
+                     and all(isinstance(v, Number | int) or v in ("", "–") for v in cells) for cells in columns)
+
 
 @dataclass(frozen=True)
 class Figure:

@@ -145,7 +145,10 @@ def iterations(traces: Mapping[str, Sequence[Mapping[str, float]]]) -> str:
             values = np.array([r[key] for r in rows], float)
             shown = np.isfinite(values) & (values > 0)
             ax.semilogy(np.array(index)[shown], values[shown], "o-", ms=2.5, lw=0.8, color=colour, alpha=0.6)
-    axes[0].set(xlabel="iteration", ylabel="sigma0")
+    low, high = axes[0].get_ylim()
+    if high / low < 30:  # tick labels such as 2 x 10^0 help nobody
+        axes[0].set_yscale("linear")
+    axes[0].set(xlabel="iteration", ylabel="sigma0 (1 as expected)")
     axes[1].set(xlabel="iteration", ylabel="step [standard errors]")
     for ax in axes:
         ax.xaxis.get_major_locator().set_params(integer=True)

@@ -18,7 +18,7 @@ dl { display: grid; grid-template-columns: max-content 1fr; gap: .1em 1em; margi
 table { border-collapse: collapse; font-size: 12.5px; margin: .4em 0; font-variant-numeric: tabular-nums }
 caption { text-align: left; font-weight: 600; padding: .3em 0 } th { text-align: left; font-weight: 600; border-bottom: 1px
 solid #888 }
-th, td { padding: .15em .7em .15em 0; vertical-align: top } td.number { text-align: right; white-space: nowrap }
+th, td { padding: .15em .7em .15em 0; vertical-align: top } td.number, th.number { text-align: right; white-space: nowrap }
 tr.marked td { background: #fff3e6 } thead { display: table-header-group } tr, figure { break-inside: avoid }
 .how, figcaption { color: #666; font-size: 12px; margin: .2em 0 1em } figure { margin: 1em 0 } figure img { width: 100% }
 figure.narrow img { width: 62% } .warning { border-left: 3px solid #d35e08; padding: .2em .8em; margin: .4em 0; background:
@@ -34,13 +34,15 @@ table { font-size: 7.6pt } h2 { break-after: avoid } .wide { overflow: visible }
 {% elif kind(part) == "figure" %}<figure{% if not part.wide %} class="narrow"{% endif %}>
 <img alt="{{ part.caption }}" src="data:image/svg+xml;base64,{{ encoded(part.svg) }}"><figcaption>{{ part.caption
 }}</figcaption></figure>
-{% else %}<div class="wide"><table>{% if part.caption %}<caption>{{ part.caption }}</caption>{% endif %}
-<thead><tr>{% for name in part.header %}<th>{{ name }}</th>{% endfor %}</tr></thead><tbody>
-{% for row in part.rows %}<tr{% if loop.index0 in part.marked %} class="marked"{% endif %}>{% for cell in row %}{% if
-number(cell) -%}
-<td class="number"{% if cell.key and cell.value is not none %} data-key="{{ cell.key }}" data-value="{{ full(cell) }}"{% endif
+{% else %}{% set right = part.right %}
+<div class="wide"><table>{% if part.caption %}<caption>{{ part.caption }}</caption>{% endif %}
+<thead><tr>{% for name in part.header %}<th{% if right[loop.index0] %} class="number"{% endif
+%}>{{ name }}</th>{% endfor %}</tr></thead><tbody>
+{% for row in part.rows %}<tr{% if loop.index0 in part.marked %} class="marked"{% endif %}>{% for cell in row %}{% set
+class = ' class="number"' | safe if right[loop.index0] else "" %}{% if number(cell) -%}
+<td{{ class }}{% if cell.key and cell.value is not none %} data-key="{{ cell.key }}" data-value="{{ full(cell) }}"{% endif
 %}>{{ cell }}</td>
-{%- else %}<td>{{ cell }}</td>{% endif %}{% endfor %}</tr>
+{%- else %}<td{{ class }}>{{ cell }}</td>{% endif %}{% endfor %}</tr>
 {% endfor %}</tbody></table></div>{% if part.how %}<p class="how">{{ part.how }}</p>{% endif %}
 {% endif %}{% endfor %}{% endfor %}</body></html>
 """

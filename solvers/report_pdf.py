@@ -6,7 +6,7 @@ import json
 import tempfile
 from pathlib import Path
 
-from .report_document import Document, Figure, Number, Part, Table, Words
+from .report_document import Document, Figure, Part, Table, Words
 
 HEAD = """#set page(paper: "a4", margin: (x: 18mm, y: 18mm), numbering: "1 / 1", footer-descent: 6mm)
 #set text(font: ("Libertinus Serif",), size: 10pt)
@@ -67,9 +67,7 @@ def _words(words: Words) -> str:
 def _table(table: Table) -> str:
     marked = ", ".join(str(k + 1) for k in sorted(table.marked))
     fill = f"fill: (x, y) => if y in ({marked},) {{ rgb(\"#FFF3E6\") }}, " if marked else ""
-    columns = range(len(table.header))
-    right = [any(isinstance(row[c], Number) for row in table.rows) for c in columns]
-    align = ", ".join("right" if r else "left" for r in right)
+    align = ", ".join("right" if r else "left" for r in table.right)
     header = ", ".join(f"text(weight: \"semibold\", {_string(h)})" for h in table.header)
     cells = ", ".join(f"text({_string(str(cell))})" for row in table.rows for cell in row)
     bold = f"text(weight: \"semibold\", {_string(table.caption)})"

@@ -72,7 +72,8 @@ def _rms(source: Source, m: Material) -> Table:
 def maps(m: Material, source: Source) -> Section:
     """Plan of the vectors, footprints, overlap."""
     parts: list[Part] = []
-    cameras = np.array([[o["X"], o["Y"]] for o in source.get("orientations", []) if o["model"] == "perspective"]).reshape(-1, 2)
+    cameras = np.array([[o["X"], o["Y"]] for o in source.get("orientations", [])
+                        if o["model"] != "orthogonal"]).reshape(-1, 2)
     outlines = list((m.outlines or {}).values())
     points = _vectors(m, source)
     if points:
@@ -92,6 +93,9 @@ def maps(m: Material, source: Source) -> Section:
         parts.append(Table(("photos that see it", "area [ha]", "share"), rows, "Overlap", "Counted on a raster of 400 cells "
                                                                                           "along the longer "
                            "side."))
+    elif source.get("orientations"):
+        parts.append(Words("Footprints and overlap are not drawn: the height of the ground is not known. Add [surface] with file "
+                           "or z to project.toml.", "note"))
     return Section("Plan, footprints and overlap", parts)
 
 

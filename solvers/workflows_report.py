@@ -23,6 +23,8 @@ from .workflows_orientation import ground_of
 
 COMMANDS = ("adjust", "calibrate", "resect", "georeference")
 """Runs that a report can be made of, the best first where several are equally new."""
+MOST_HEIGHTS = 50
+"""Photos whose height above the take-off point is read."""
 MOST_RAYS = 400
 """Rays drawn and tabulated on the ground; more would not be read."""
 
@@ -85,7 +87,7 @@ def material(folder: Path, run: Path) -> Material:
     block, result = read_project(folder), read_result(run)
     said = list(_older(folder, run))
     known = _known(block, result)
-    ground, name = _ground(folder, block, said)
+    ground, name = _ground(folder, block, known, said)
     mosaic = latest_run(folder, "result.json", "mosaic")
     command = run.name.split("-")[2]
     when = datetime.strptime(run.name[:15], "%Y%m%d-%H%M%S")
@@ -127,7 +129,7 @@ def _known(block: Block, result: Mapping[str, Any]) -> dict[str, Known]:
     return out
 
 
-def _ground(folder: Path, block: Block, said: list[str]) -> tuple[Surface | None, str]:
+def _ground(folder: Path, block: Block, known: Mapping[str, Known], said: list[str]) -> tuple[Surface | None, str]:
     try:
         ground = ground_of(folder, block, None, None)
     except PhotogrammetryError as error:
@@ -136,7 +138,24 @@ def _ground(folder: Path, block: Block, said: list[str]) -> tuple[Surface | None
     if ground is not None:
         return ground, ground.name
     z = block.points.xyz[:, 2][np.isfinite(block.points.xyz[:, 2])]
-    return (Plane(float(z.mean())), "") if len(z) else (None, "")
+    return (Plane(float(z.mean())), "") if len(z) else _take_off(folder, block, known)
+
+
+def _take_off(folder: Path, block: Block, known: Mapping[str, Known]) -> tuple[Surface | None, str]:
+    """The level of the take-off point by the heights above it that photos state."""
+    from .io import read_onboard
+
+    levels = []
+    for image in block.images:
+        path = None if image.file is None or image.name not in known else folder / image.file
+        if path is not None and path.is_file() and len(levels) < MOST_HEIGHTS:
+            above = read_onboard(path).relative
+            if above is not None:
+                levels.append(known[image.name].exterior.centre[2] - above)
+    if not levels:
+        return None, ""
+    z = float(np.mean(levels))
+    return Plane(z), f"level ground at z = {z:.1f} m, the take-off point by the photos' heights above it"
 
 
 def _outlines(block: Block, known: Mapping[str, Known], ground: Surface | None, said: list[str]) -> dict[str, np.ndarray]:

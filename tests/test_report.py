@@ -12,14 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from solvers import report_figures
+from solvers import Block, Observations, Points, report_figures
 from solvers.cli import main
 from solvers.errors import BadProject, Unsupported
 from solvers.report_accuracy import Accuracy, remarks, statements
 from solvers.report_contents import contents
 from solvers.report_document import Document, Section, Table, Words
 from solvers.report_html import html
-from solvers.report_material import Wanted
+from solvers.report_material import Material, Wanted
 from solvers.report_pdf import pdf
 from solvers.workflows_report import material, report_project
 
@@ -192,3 +192,25 @@ def test_what_cannot_be_reported_is_refused(adjusted, tmp_path, capsys):
     (run / "result.json").write_text("{")
     assert main(["report", str(run), "-o", str(tmp_path / "r.html")]) == 1
     assert "result.json" in capsys.readouterr().err and not (tmp_path / "r.html").exists()
+
+
+def test_the_quality_of_a_mosaic_has_its_units():
+    from solvers.report_mosaic_quality import mosaic
+
+    result = {"kind": "semicontrolled", "register": "simultaneous", "width": 70, "height": 50, "gsd": 0.016, "unit": "m",
+              "bounds": [1.0, 2.0, 3.0, 4.0], "rms_px": 1.7, "seam_rms": 2.9, "seams": {"places": 34}, "check_rms_m": None,
+              "check_ties": {"count": 163, "rms_px": 2.1, "p90_px": 3.5, "median_px": 1.1},
+              "headings": [{"image": "a", "correction_deg": 177.1}],
+              "images": [{"name": "a", "used": True, "why": "", "sigma": 5.2, "sigma_px": 326.7},
+                         {"name": "b", "used": False, "why": "no tie points"}]}
+    block = Block("p", "local", {}, (), Points((), np.empty((0, 3)), np.empty((0, 3)), ()),
+                  Observations(np.empty(0, int), np.empty(0, int), np.empty((0, 2)), np.empty(0)))
+    section = mosaic(Material(block, "mosaic", "run", "", "", {}, {}, mosaic=result, mosaic_run="run"))
+    quality, photos = section.parts
+    told = {k: str(v) for k, v in quality.rows}
+    assert told["neighbours along the seams, rms [px]"] == "2.90" and told["check ties, 90 % within [px]"] == "3.50"
+    assert told["predicted standard error of places, photo by photo [m]"] == "5.2 to 5.2" and told["check points, rms [m]"] == \
+        "none measured"
+    assert [str(c) for c in photos.rows[0]] == ["a", "yes", "5.20", "326.7", "177.1"]
+    assert [str(c) for c in photos.rows[1]] == ["b", "no: no tie points", "–", "–", "–"]
+    assert quality.right == (False, False) and photos.right == (False, False, True, True, True)
