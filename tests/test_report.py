@@ -206,7 +206,9 @@ def test_the_quality_of_a_mosaic_has_its_units():
     block = Block("p", "local", {}, (), Points((), np.empty((0, 3)), np.empty((0, 3)), ()),
                   Observations(np.empty(0, int), np.empty(0, int), np.empty((0, 2)), np.empty(0)))
     section = mosaic(Material(block, "mosaic", "run", "", "", {}, {}, mosaic=result, mosaic_run="run"))
+    assert section is not None
     quality, photos = section.parts
+    assert isinstance(quality, Table) and isinstance(photos, Table)
     told = {k: str(v) for k, v in quality.rows}
     assert told["neighbours along the seams, rms [px]"] == "2.90" and told["check ties, 90 % within [px]"] == "3.50"
     assert told["predicted standard error of places, photo by photo [m]"] == "5.2 to 5.2" and told["check points, rms [m]"] == \
