@@ -79,6 +79,20 @@ def log(m: np.ndarray) -> np.ndarray:
     return q[1:] * (2 * np.arctan2(s, q[0]) / s if s > 0 else 2.0)
 
 
+def log_many(m: np.ndarray) -> np.ndarray:
+    """(n, 3) rotation vectors [rad] of rotations (n, 3, 3), as `log`."""
+    n = len(m)
+    t = np.einsum("naa->n", m)
+    vee = np.stack([m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]], axis=1)
+    outer = np.empty((n, 4, 4))
+    outer[:, 0, 0], outer[:, 0, 1:], outer[:, 1:, 0] = 1 + t, vee, vee
+    outer[:, 1:, 1:] = m + np.swapaxes(m, 1, 2) + (1 - t)[:, None, None] * np.eye(3)
+    q = outer[np.arange(n), np.argmax(np.einsum("naa->na", outer), axis=1)]
+    q = q / np.linalg.norm(q, axis=1, keepdims=True) * np.where(q[:, :1] >= 0, 1, -1)
+    s = np.linalg.norm(q[:, 1:], axis=1)
+    return q[:, 1:] * np.where(s > 0, 2 * np.arctan2(s, q[:, 0]) / np.where(s > 0, s, 1.0), 2.0)[:, None]
+
+
 def closest_rotation(a: np.ndarray) -> np.ndarray:
     """The rotation (3, 3) closest to a (3, 3) in the Frobenius norm, determinant +1 (SVD)."""
     u, _, vt = np.linalg.svd(a)

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from solvers import Exterior
 from solvers.geometry import angle_derivatives, angles, closest_rotation, exp, from_opencv, log, rotation, skew, to_opencv
+from solvers.geometry.rotation import exp_many, log_many
 from tests.checks import central
 from tests.synthetic import random_rotation
 
@@ -102,3 +103,10 @@ def test_exterior_vector_round_trip_and_angle_covariance():
     predicted = at.angle_covariance(root @ root.T)
     assert np.allclose(np.cov(samples.T) / np.sqrt(np.outer(np.diag(predicted), np.diag(predicted))),
                        predicted / np.sqrt(np.outer(np.diag(predicted), np.diag(predicted))), atol=0.08)
+
+
+def test_many_rotation_vectors_are_those_one_by_one() -> None:
+    rng = np.random.default_rng(4)
+    d = rng.normal(size=(60, 3)) * np.r_[np.full(20, 1e-9), np.full(20, 0.3), np.full(20, 1.0)][:, None]
+    m = np.concatenate([exp_many(d), np.eye(3)[None], np.diag([1.0, -1.0, -1.0])[None]])
+    np.testing.assert_allclose(log_many(m), [log(one) for one in m], rtol=0, atol=1e-12)

@@ -165,5 +165,5 @@ def test_lever_arm_in_the_photo_frame() -> None:
     block, _ = flown(5, noise=0.0, gps=Gps((1.0, 2.0, 3.0)))
     start = prepare_bundle(block, BundleRequest(datum="both"))
     at = Exterior.from_vector(start.problem.network.split(start.x0)[0][0])
-    antenna = start.problem._antenna(start.x0, 0, at).centre
+    antenna = start.problem.antennas(start.x0)[0]
     np.testing.assert_allclose(at.m @ (at.centre - antenna), [2.0, 1.0, -3.0], atol=1e-9)

@@ -19,7 +19,7 @@ from ...adjustment.losses import COSTS, LOSSES
 from ...adjustment.schur import Schur
 from ...cameras import project, project_derivatives
 from ...geometry import Exterior, skew
-from ...geometry.rotation import exp_many
+from ...geometry.rotation import exp_many, log_many
 from .compiled import Compiled
 from .datum import Inner, motions
 from .lagged import Bordered, Lagged, lagged_derivatives, virtual
@@ -188,25 +188,35 @@ class Bundle:
 
     def prior_rows(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(a, 6) misclosures of the images' priors in standard deviations, and (a, 6, 6) their derivatives, sign turned."""
-        net = self.network
-        roots = net.prior_arrays[2]
-        poses = net.split(x)[0]
-        given = [(p, self._antenna(x, i, Exterior.from_vector(poses[i]))) for i, p in enumerate(net.priors) if p is not None]
-        v = np.array([p.misclosure(at) for p, at in given]).reshape(-1, 6, 1)
-        d = np.array([p.derivatives(at) for p, at in given]).reshape(-1, 6, 6)
-        if net.extras.levers is not None:  # turning the image moves its antenna
-            for row, (i, (_, at)) in enumerate(zip(net.prior_arrays[0], given, strict=True)):
-                d[row, :3, 3:] += d[row, :3, :3] @ at.m.T @ skew(net.extras.levers[i])
-        return (roots @ v)[:, :, 0], roots @ d
+        net, levers = self.network, self.network.extras.levers
+        images, given, roots = net.prior_arrays
+        if not len(images):
+            return np.zeros((0, 6)), np.zeros((0, 6, 6))
+        poses = net.split(x)[0][images]
+        turned = np.swapaxes(poses[:, 3:].reshape(-1, 3, 3), 1, 2)
+        r = log_many(given[:, 3:].reshape(-1, 3, 3) @ turned)
+        k, theta = skew(r), np.linalg.norm(r, axis=1)
+        safe = np.where(theta < 1e-3, 1.0, theta)
+        curve = np.where(theta < 1e-3, 1 / 12, (1 - safe / 2 / np.tan(safe / 2)) / safe**2)
+        d = np.tile(np.eye(6), (len(images), 1, 1))
+        d[:, 3:, 3:] += k / 2 + curve[:, None, None] * (k @ k)
+        if levers is not None:  # turning the image moves its antenna
+            d[:, :3, 3:] += turned @ skew(levers[images])
+        v = np.concatenate([given[:, :3] - self.antennas(x), r], axis=1)
+        return (roots @ v[..., None])[..., 0], roots @ d
 
-    def _antenna(self, x: np.ndarray, i: int, at: Exterior) -> Exterior:
-        """An image's orientation with its centre where GPS puts it: at the antenna, shifted with its strip."""
-        extras, centre = self.network.extras, at.centre
+    def antennas(self, x: np.ndarray) -> np.ndarray:
+        """(a, 3) where GPS puts the images with priors: at the antenna, shifted with their strip [m]."""
+        net, extras = self.network, self.network.extras
+        images = net.prior_arrays[0]
+        poses = net.split(x)[0][images]
+        centre = poses[:, :3].copy()
         if extras.levers is not None:
-            centre = centre + at.m.T @ extras.levers[i]
-        if extras.shift_of is not None and extras.shift_of[i] >= 0:
-            centre = centre + self.network.shifts_at(x)[extras.shift_of[i]]
-        return Exterior(at.m, centre)
+            centre += (np.swapaxes(poses[:, 3:].reshape(-1, 3, 3), 1, 2) @ extras.levers[images, :, None])[..., 0]
+        if extras.shift_of is not None:
+            of = extras.shift_of[images]
+            centre[of >= 0] += net.shifts_at(x)[of[of >= 0]]
+        return centre
 
 
 __all__ = ["DENSE", "Bundle", "exp_many"]
