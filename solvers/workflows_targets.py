@@ -16,7 +16,9 @@ from .matching.chessboard import board_points, find_chessboard
 
 CHESS_SIGMA = 0.15
 """Standard error of a chessboard corner [px]: what calibrations of ordinary photos leave."""
-LEAST_SIGMA = 0.05
+CORNER = 0.01
+"""Standard error of a sheet's four outermost targets, over the distance of its rows: they give the datum and bend nothing."""
+LEAST_SIGMA = 0.1
 """Standard error [px] that no centre of a target is believed to be better than."""
 
 
@@ -25,7 +27,7 @@ def targets_of_project(folder: Path | str, kind: str = "dot", board: tuple[int, 
     """Measure the targets in all photos of a project; its points and observations become those of the sheet.
 
     A chessboard's corners are fixed control, `square` apart [m]. Of a sheet whose coded corners number its dots, the four
-    outermost are fixed control, `square` from row to row and column to column; all others are unknown. Photos without targets are
+    outermost are weak control, `square` from row to row and column to column; all others are unknown. Photos without targets are
     told. Raises BadProject where the project has observations already, DegenerateGeometry where no two photos show targets.
     """
     folder = Path(folder)
@@ -85,7 +87,7 @@ def _block(block: Block, found: dict[str, tuple[tuple[str, ...], np.ndarray, np.
     for n, at in known.items():
         xyz[index[n]] = at
     role = tuple("control" if n in known else "tie" for n in names)
-    sigma = np.where(np.isfinite(xyz), 0.0, np.nan)
+    sigma = np.where(np.isfinite(xyz), CORNER * square if board is None else 0.0, np.nan)
     rows = [(block.image_index(i), index[n], at, s) for i, (of, pixels, sigmas) in found.items()
             for n, at, s in zip(of, pixels, sigmas, strict=True)]
     observations = Observations(np.array([r[0] for r in rows]), np.array([r[1] for r in rows]), np.array([r[2] for r in rows]),
