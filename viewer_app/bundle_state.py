@@ -22,7 +22,7 @@ from .state import MODELS, Assets, State
 DATUMS = ("control", "prior", "both", "free")
 STARTS = ("auto", "resection", "dlt", "affine", "relative", "prior")
 TRANSFORMS = ("iterated", "frozen")
-SHUTTERS = ("none", "translation", "rotation")
+SHUTTERS = ("none", "auto", "translation", "rotation")
 LEAST_SQUARES = "none"
 ROBUST = (LEAST_SQUARES, *LOSSES)
 COLOURED = ("residual", "number of rays", "none")

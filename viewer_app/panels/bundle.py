@@ -113,7 +113,8 @@ class BundlePanel:
                 "datum": ("Datum from", DATUMS, "What gives place, attitude and scale: control; GPS/IMU priors; both; free: "
                           "inner constraints, least trace."),
                 "start": ("Start values", STARTS, "Where the start comes from; auto takes whatever the project offers."),
-                "shutter": ("Rolling shutter", SHUTTERS, "Images that move while they are read; needs readout_ms of the camera."),
+                "shutter": ("Rolling shutter", SHUTTERS, "Images that move while they are read (readout_ms of the camera); auto: "
+                            "where a gyroscope's record is there."),
                 "loss": ("Robust loss", ROBUST, "Down-weights blunders; none: least squares. Danish is the strictest."),
             }
             self._chosen: dict[str, Any] = {}
