@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from pathlib import Path
 
@@ -59,5 +60,7 @@ def find_geoid() -> Path | None:
     """A global geoid grid on this machine (in PROJ's data folders), None where there is none; nothing is downloaded."""
     from pyproj.datadir import get_data_dir, get_user_data_dir  # pyright: ignore[reportPrivateImportUsage]
 
-    folders = [Path(p) for p in (*get_data_dir().split(";"), get_user_data_dir(), "/usr/share/proj")]
+    said = [os.environ.get(k, "") for k in ("PROJ_DATA", "PROJ_LIB")]
+    folders = [Path(p) for text in (*said, get_data_dir(), get_user_data_dir(), "/usr/share/proj") for p in text.split(os.pathsep)
+               if p]
     return next((f / name for name in GEOIDS for f in folders if (f / name).is_file()), None)

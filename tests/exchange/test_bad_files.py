@@ -8,6 +8,7 @@ import re
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from solvers import PhotogrammetryError
 from solvers.io.exchange import registry
@@ -37,11 +38,18 @@ TEXTS = {
     "cal-opencv": ("c.yml", "%YAML:1.0\n---\nimage_width: 4000\nimage_height: 3000\ncamera_matrix: !!opencv-matrix\n   rows: 3\n "
                             "  cols: 3\n"
                             "   dt: d\n   data: [ 3000., 0., 1999., 0., 3000., 1499., 0., 0., 1. ]\n"),
+    "cal-micmac": ("AutoCal_Foc-8800.xml", '<?xml version="1.0" ?><ExportAPERO><CalibrationInternConique>'
+                   "<KnownConv>eConvApero_DistM2C</KnownConv><PP>1999.5 1499.5</PP><F>3000</F><SzIm>4000 3000</SzIm>"
+                   "<CalibDistortion><ModRad><CDist>1999.5 1499.5</CDist><CoeffDist>1e-9</CoeffDist><CoeffDist>-2e-16</CoeffDist>"
+                   "</ModRad></CalibDistortion></CalibrationInternConique></ExportAPERO>"),
 }
 WRITTEN = {"colmap": ("m", "images.txt"), "colmap-bin": ("m", "images.bin"), "opf": ("m", "calibrated_cameras.json"),
            "blocks": ("b.xml", ""), "nerfstudio": ("transforms.json", ""), "bundler": ("bundle.out", ""), "bal": ("p.txt", ""),
            "opk-metashape": ("o.txt", ""), "patb": ("o.ori", ""), "gcp-geojson": ("g.geojson", "")}
-KINDS = [*TEXTS, *WRITTEN, *HANDMADE, "micmac"]
+KINDS = [*TEXTS, *WRITTEN, *HANDMADE, "micmac", "dewarp"]
+DEWARP = (b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><rdf:Description '
+          b'rdf:about="DJI Meta Data" xmlns:drone-dji="http://www.dji.com/drone-dji/1.0/" drone-dji:DewarpFlag="0" '
+          b'drone-dji:DewarpData="2022-06-08;305.5,305.2,1.5,-2.1,-0.11,0.015,0.0001,-0.0001,-0.02"/></rdf:RDF></x:xmpmeta>')
 OPTIONS = Reading(crs="EPSG:32632", size=(4000, 3000))
 
 
@@ -50,6 +58,10 @@ def made(kind: str, folder: Path) -> tuple[Path, Path]:
     if kind == "micmac":
         path = micmac_folder(scene(OURS), folder / "Ori-X")
         return path, path / "Orientation-DSC01.JPG.xml"
+    if kind == "dewarp":
+        path = folder / "DJI_0001.JPG"
+        Image.new("RGB", (400, 300)).save(path, xmp=DEWARP)
+        return path, path
     if kind in TEXTS:
         path = folder / TEXTS[kind][0]
         path.write_text(TEXTS[kind][1])
@@ -111,7 +123,7 @@ def test_garbage(tmp_path: Path, kind: str) -> None:
     refused(path, None)
 
 
-@pytest.mark.parametrize("kind", [k for k in KINDS if k != "micmac"])
+@pytest.mark.parametrize("kind", [k for k in KINDS if k != "dewarp"])
 def test_a_gigabyte_is_refused_before_it_is_read(tmp_path: Path, kind: str) -> None:
     path, part = made(kind, tmp_path)
     with open(part, "r+b") as stream:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from PIL import Image
 from solvers import BadProject
 from solvers.cli import main
 from solvers.io import crs
+from solvers.io.surface import find_geoid
 from solvers.io.whereabouts import Reading, mistaken
 from solvers.workflows_init import init_project
 
@@ -159,6 +161,33 @@ def test_heights_of_photos_by_an_entered_undulation_or_a_grid(tmp_path: Path) ->
     barometric = photo(tmp_path / "c.jpg", MUNICH)  # DJI without RTK: no heights above the ellipsoid
     with pytest.raises(BadProject, match="barometric"):
         init_project([barometric, g], tmp_path / "q", project_crs="EPSG:25832", undulation=46.5)
+
+
+def test_undulation_auto_takes_the_geoid_grid_that_proj_takes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A grid in PROJ's own format and under PROJ's name, of a made undulation; PROJ's vgridshift has the last word."""
+    import struct
+
+    from pyproj import Transformer
+
+    monkeypatch.setenv("PROJ_DATA", str(tmp_path / "empty"))
+    lat, lon = np.mgrid[40:56:0.25, 5:20:0.25]
+    n = (40 + 0.7 * (lat - 48) - 0.4 * (lon - 11) + 2 * np.sin(lon)).astype(">f4")
+    (tmp_path / "proj").mkdir()
+    grid = tmp_path / "proj" / "egm96_15.gtx"  # south-west corner, steps, rows, columns, then rows from the south
+    grid.write_bytes(struct.pack(">4d2i", 40.0, 5.0, 0.25, 0.25, *n.shape) + n.tobytes())
+    b, g = photo(tmp_path / "b.jpg", MUNICH, "ACME"), table(tmp_path / "g.csv", at(MUNICH, "EPSG:25832"))
+    if find_geoid() is None:
+        with pytest.raises(BadProject, match="no geoid grid is installed on this machine; give a grid's file or metres"):
+            init_project([b, g], tmp_path / "none", project_crs="EPSG:25832+7837", undulation="auto")
+    monkeypatch.setenv("PROJ_DATA", f"{tmp_path / 'empty'}{os.pathsep}{tmp_path / 'proj'}")
+    assert find_geoid() == grid
+    made = init_project([b, g], tmp_path / "p", project_crs="EPSG:25832+7837", undulation="auto")
+    levelled = Transformer.from_pipeline(f"+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad +step +inv "
+                                         f"+proj=vgridshift +grids={grid} +multiplier=1").transform(*MUNICH, 600.0)[2]
+    prior = made.block.images[0].prior
+    assert prior is not None and prior.centre is not None and abs(levelled - 560) < 5
+    assert prior.centre[2] == pytest.approx(levelled, abs=2e-3)
+    assert any("egm96_15.gtx" in note for note in made.notes)
 
 
 def test_convert_checks_the_photos_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
