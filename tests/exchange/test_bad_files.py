@@ -48,8 +48,9 @@ WRITTEN = {"colmap": ("m", "images.txt"), "colmap-bin": ("m", "images.bin"), "op
            "opk-metashape": ("o.txt", ""), "patb": ("o.ori", ""), "gcp-geojson": ("g.geojson", "")}
 KINDS = [*TEXTS, *WRITTEN, *HANDMADE, "micmac", "dewarp"]
 DEWARP = (b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
-          b'<rdf:Description rdf:about="DJI Meta Data" xmlns:drone-dji="http://www.dji.com/drone-dji/1.0/" drone-dji:DewarpFlag="0" '
-          b'drone-dji:DewarpData="2022-06-08;305.5,305.2,1.5,-2.1,-0.11,0.015,0.0001,-0.0001,-0.02"/></rdf:RDF></x:xmpmeta>')
+          b'<rdf:Description rdf:about="" xmlns:drone-dji="http://www.dji.com/drone-dji/1.0/" drone-dji:DewarpFlag="0" '
+          b'drone-dji:DewarpData="2022-06-08;305.5,305.2,1.5,-2.1,-0.11,0.015,0.0001,-0.0001,-0.02"/>'
+          b'</rdf:RDF></x:xmpmeta>')
 OPTIONS = Reading(crs="EPSG:32632", size=(4000, 3000))
 
 
