@@ -6,9 +6,11 @@ import json
 import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from rerun.chunk import RrdReader
 
 from solvers import BadProject, Trace
 from solvers.adjustment import LARGE, Iteration, thin
@@ -16,6 +18,7 @@ from solvers.cli import main
 from solvers.io import RowReader, RowWriter, demo_assets, load_trace, read_truth, save_trace, write_project
 from solvers.simulation import calibration_plate
 from solvers.workflows_bundle import AdjustedProject, StoppedRun, adjust_project
+from viewer_app.rerun_bundle import Live
 
 
 @pytest.fixture
@@ -87,10 +90,12 @@ class StopsAt:
     def __init__(self, at: int) -> None:
         self.at = at
 
-    def __call__(self, *_: object) -> StopsAt:
+    def __call__(self, path: Path, *begun: Any) -> StopsAt:
+        self.live = Live(path, *begun)
         return self
 
     def row(self, row: Iteration) -> None:
+        self.live.row(row)
         if row.index == self.at:
             raise KeyboardInterrupt
 
@@ -109,6 +114,9 @@ def test_an_adjustment_is_stopped_and_continued_from_any_row(demo: Path, capsys:
     for row, wanted in zip(kept.rows(), whole.result.trace.rows, strict=False):
         np.testing.assert_allclose(row.x, wanted.x, rtol=0, atol=1e-6)
         assert (row.index, row.cost, row.trials) == (wanted.index, wanted.cost, wanted.trials)
+    drawn = [chunk.to_record_batch()["iteration"].to_pylist() for chunk in RrdReader(stopped.run / "recording.rrd").stream()
+             if str(chunk.entity_path) == "/bundle/points"]
+    assert sorted(k for part in drawn for k in part) == [0, 1, 2]  # each is in the file before anybody closes it
     for further in (stopped.run.name, f"{stopped.run.name}:1", str(stopped.run), f"{whole.run.name}:0" if whole.run else ""):
         done = run(capsys, "adjust", demo, "--continue", further)
         assert done["cost"] == pytest.approx(whole.result.cost, rel=1e-9) and done["dof"] == whole.result.dof

@@ -84,9 +84,8 @@ class Live:
         self._stream.set_log_tick_enabled(False)
         self._scene = _Scene(self._stream, block, manifest, x0)
         self._stream.save(path, default_blueprint=self._scene.blueprint())
-        with self._stream:
-            self._stream.send_recording_name(block.name)
-            self._scene.still()
+        self._stream.send_recording_name(block.name)  # not within `with`, which would end the stream
+        self._scene.still()
 
     def row(self, row: Iteration) -> None:
         """Draw it and its figures; of a long adjustment only some rows."""
