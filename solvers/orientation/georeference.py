@@ -222,10 +222,26 @@ def _undulation(o: Onboard, undulation: float | Surface) -> tuple[float, str]:
     return n, f"the geoid grid {undulation.name}"
 
 
+TURN = np.radians(40.0)
+"""Change of direction between two photos of a flight beyond which it turns there, from one strip to the next."""
+
+
 def _course(antennas: np.ndarray, k: int) -> float | None:
-    """Azimuth of flight [rad, from the local y axis clockwise] at photo k from its neighbours; None for a single photo."""
-    step = antennas[min(k + 1, len(antennas) - 1)] - antennas[max(k - 1, 0)]
-    return float(np.arctan2(step[0], step[1])) if np.hypot(step[0], step[1]) > 0.1 else None
+    """Azimuth of flight [rad, from the local y axis clockwise] at photo k from its neighbours; None for a single photo.
+
+    Where the flight turns, of the leg before and the leg after the one that its own strip goes on with."""
+    legs = np.diff(antennas[:, :2], axis=0)
+    near = [i for i in (k - 1, k) if 0 <= i < len(legs) and np.hypot(*legs[i]) > 0.1]
+    if len(near) == 2 and _between(*legs[near]) > TURN:
+        bend = [_between(legs[i], legs[i + on]) if 0 <= i + on < len(legs) else np.pi for i, on in zip(near, (-1, 1), strict=True)]
+        near = [near[int(np.argmin(bend))]]
+    step = legs[near].sum(axis=0)
+    return float(np.arctan2(step[0], step[1])) if np.hypot(*step) > 0.1 else None
+
+
+def _between(a: np.ndarray, b: np.ndarray) -> float:
+    """Angle between two directions (2,) [rad]."""
+    return float(abs(np.arctan2(a[0] * b[1] - a[1] * b[0], a @ b)))
 
 
 def _true(course: float, ned: np.ndarray) -> float:

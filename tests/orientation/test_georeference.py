@@ -425,3 +425,14 @@ def test_comparison_in_a_project() -> None:
     assert "left out" in said[0] and one_by_one[4].rms_horizontal < 0.2 and one_by_one[4].points == 5
     with pytest.raises(BadProject, match="3 points"):
         compare_project(replace(block, points=replace(block.points, role=("tie",) * 30)), onboard, 0.0, 2.0)
+
+
+def test_without_an_attitude_the_course_follows_the_strip_also_at_its_ends() -> None:
+    """Two strips flown to and fro: the last photo before the turn looks along its own strip, and so does the first after it."""
+    from solvers.orientation.georeference import _course
+
+    x = [0.0, 20, 40, 60, 62, 42, 22, 2]
+    at = np.column_stack([x, [0.0] * 4 + [45.0] * 4, np.full(8, 100.0)])
+    courses = [_course(at, k) for k in range(8)]
+    assert np.degrees([c for c in courses if c is not None]) == pytest.approx([90.0] * 4 + [-90.0] * 4)
+    assert _course(at[:1], 0) is None
