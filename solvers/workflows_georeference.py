@@ -162,6 +162,9 @@ def georeference_flight(target: Path | str, flown: Flown) -> Direct:
         how = (*how, f"headings: {len(headings)} of {len(solved)} photos compared with their neighbours, "
                      f"{sum(not _turn(h) for h in headings)} agree")
         solved = _corrected(solved, headings) if flown.correct_headings else solved
+    elif flown.corners and site.photos and len(solved) > 1:
+        how = (*how, "headings: as recorded; --check-headings compares them with what the photos show, --correct-headings turns "
+                     "those that are wrong (a yaw wrong by 180 degrees is common where strips are flown to and fro)")
     outlines, missed = _outlines(site.block, solved, ground, frame) if flown.footprints and ground is not None else ((), ())
     notes = (*site.notes, *how, *((f"ground: {where}",) if where else ()))
     corners: tuple[CornerControl, ...] = ()

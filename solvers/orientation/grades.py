@@ -222,19 +222,25 @@ def _adjusted(method: str, block: Block, true: Block, names: Sequence[str], datu
     """Check points of bundle adjustments that do not know them; true: the block with their surveyed coordinates; undetermined:
     predicted error [m] from which a point says nothing."""
     points: list[_Checked] = []
-    why = ""
+    why, lost = "", 0
     for group in [tuple(names)] if at_once else [(n,) for n in names]:
         known = block
         for name in group:
             known = known.with_role(name, "check")
         try:
-            found = {p.name: p for p in adjust(known, datum=datum).points}
+            done = adjust(known, datum=datum)
         except (BadProject, DegenerateGeometry) as error:
             why = str(error)
             continue
+        if not done.trace.converged:
+            lost += len(group)
+            continue
+        found = {p.name: p for p in done.points}
         points += [_checked(true, n, found[n].xyz, found[n].covariance) for n in group if n in found]
     if why:
         said.append(f"{method}: {'' if points else 'no result: '}{why}")
+    if lost:
+        said.append(f"{method}: {lost} point(s) left out whose adjustment did not converge")
     sure = [p for p in points if np.trace(p.covariance) < undetermined**2]
     if len(sure) < len(points):
         said.append(f"{method}: {len(points) - len(sure)} point(s) left out that are not determined (predicted error beyond "

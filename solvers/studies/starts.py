@@ -298,7 +298,7 @@ has several) ends in the best solution found from any start or from the truth.
              *TILTS_DEG, "error before refinement [°]", "µs per call", "cost, three points = 1"], overall)}
 
 The error is the median distance of the attitude from the truth before refinement. Costs are processor time of
-this package's Python on
+this package as it is (parallel projections and refinement are compiled, the other starts are Python) on
 the machine of the run; only their ratio travels.
 "Scaled orthography" and "both planar" work in the photo re-centred to the mean ray, with two POSIT updates; "four points,
 parallel" has none; "three points" tries
