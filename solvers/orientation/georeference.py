@@ -233,7 +233,7 @@ def _course(antennas: np.ndarray, k: int) -> float | None:
     legs = np.diff(antennas[:, :2], axis=0)
     near = [i for i in (k - 1, k) if 0 <= i < len(legs) and np.hypot(*legs[i]) > 0.1]
     if len(near) == 2 and _between(*legs[near]) > TURN:
-        bend = [_between(legs[i], legs[i + on]) if 0 <= i + on < len(legs) else np.pi for i, on in zip(near, (-1, 1), strict=True)]
+        bend = [_between(legs[i], legs[j]) if 0 <= j < len(legs) else np.pi for i, j in ((k - 1, k - 2), (k, k + 1))]
         near = [near[int(np.argmin(bend))]]
     step = legs[near].sum(axis=0)
     return float(np.arctan2(step[0], step[1])) if np.hypot(*step) > 0.1 else None
