@@ -16,21 +16,24 @@ from .tables import Row
 FIELDS = ("name", "X", "Y", "Z", "sX", "sY", "sZ", "role", "image", "col", "row", "sigma")
 ALIASES: dict[str, tuple[str, ...]] = {
     "name": ("name", "id", "label", "point", "pointname", "pointid", "gcp", "gcplabel", "gcpname", "gcpid", "nr", "no", "number",
-             "punkt", "punktnr", "pt", "marker"),
+             "punkt", "punktnr", "pt", "marker", "station"),
     "X": ("x", "e", "east", "easting", "geox", "xmap", "mapx", "rechtswert", "rw", "ost", "lon", "long", "longitude", "worldx",
-          "xm"),
-    "Y": ("y", "n", "north", "northing", "geoy", "ymap", "mapy", "hochwert", "hw", "nord", "lat", "latitude", "worldy", "ym"),
-    "Z": ("z", "h", "height", "elev", "elevation", "geoz", "alt", "altitude", "hoehe", "höhe", "worldz", "zm", "hm"),
-    "sX": ("sx", "sigmax", "stdx", "xmapacc", "xacc", "accx", "sh", "sxy"),
-    "sY": ("sy", "sigmay", "stdy", "ymapacc", "yacc", "accy"),
-    "sZ": ("sz", "sigmaz", "stdz", "elevacc", "zacc", "accz", "sv"),
+          "xm", "xeast", "xeasting", "xlongitude"),
+    "Y": ("y", "n", "north", "northing", "geoy", "ymap", "mapy", "hochwert", "hw", "nord", "lat", "latitude", "worldy", "ym",
+          "ynorth", "ynorthing", "ylatitude"),
+    "Z": ("z", "h", "height", "elev", "elevation", "geoz", "alt", "altitude", "hoehe", "höhe", "worldz", "zm", "hm", "zaltitude",
+          "zheight"),
+    "sX": ("sx", "sigmax", "stdx", "xmapacc", "xacc", "accx", "xaccuracy", "accuracyx", "stde", "sigmae", "sh",
+           "sxy"),
+    "sY": ("sy", "sigmay", "stdy", "ymapacc", "yacc", "accy", "yaccuracy", "accuracyy", "stdn", "sigman"),
+    "sZ": ("sz", "sigmaz", "stdz", "elevacc", "zacc", "accz", "zaccuracy", "accuracyz", "stdh", "sigmah", "sv"),
     "role": ("role", "type", "use"),
     "image": ("image", "photo", "img", "imagename", "filename", "file", "foto", "bild", "picture", "camera"),
     "col": ("col", "column", "px", "imx", "pixelx", "imagex", "imgx", "u", "xpx", "colpx", "xpixel", "spalte"),
     "row": ("row", "line", "py", "imy", "pixely", "imagey", "imgy", "v", "ypx", "rowpx", "ypixel", "zeile"),
     "sigma": ("sigma", "sigmapx", "pxsigma", "acc"),
 }
-DEGREES = ("lon", "long", "longitude", "lat", "latitude")
+DEGREES = ("lon", "long", "longitude", "lat", "latitude", "xlongitude", "ylatitude")
 
 Ask = Callable[[str], str]
 """Puts a question to a person at a terminal and returns the answer."""
@@ -149,6 +152,8 @@ def _columns(sheet: Sheet, ask: Ask | None) -> dict[str, int]:
     for field in FIELDS:
         found[field] = [i for i, k in enumerate(keys) if k in ALIASES[field]]
     _plain_xy_are_pixels(found, keys)
+    if len(found["sX"]) == 1 and not found["sY"] and keys[found["sX"][0]] in ("sh", "sxy"):
+        found["sY"] = found["sX"]  # one standard error for both
     needed = ["name", "X", "Y", "Z"] + (["image", "col", "row"] if any(found[f] for f in ("image", "col", "row")) else [])
     unclear = [f for f in needed if len(found[f]) != 1]
     if unclear and ask is None:

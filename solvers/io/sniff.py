@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import csv
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,6 +42,9 @@ class Sheet:
         return out
 
     def _number(self, cell: str) -> str:
+        plain = _ungrouped(cell)
+        if plain != cell:
+            return plain
         changed = cell.replace(",", ".")
         return changed if self.decimal_comma and NUMBER.fullmatch(changed) else cell
 
@@ -167,4 +171,12 @@ def _split(path: Path, line: int, text: str, delimiter: str) -> list[str]:
 
 
 def _numeric(cell: str) -> bool:
-    return NUMBER.fullmatch(cell.replace(",", ".")) is not None
+    return NUMBER.fullmatch(_ungrouped(cell).replace(",", ".")) is not None
+
+
+def _ungrouped(cell: str) -> str:
+    """A number without the signs between its thousands, where these are unmistakable: 4.468.210,50 and 4,468,210.50."""
+    for sign, point in ((".", ","), (",", ".")):
+        if re.fullmatch(rf"[+-]?\d{{1,3}}(\{sign}\d{{3}})+\{point}\d+", cell):
+            return cell.replace(sign, "").replace(point, ".")
+    return cell

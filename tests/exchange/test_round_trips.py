@@ -88,6 +88,23 @@ def test_roles_and_sigmas_stay(tmp_path: Path) -> None:
         np.testing.assert_allclose(sigmas["P1"], [0.02, 0.02, 0.03])
 
 
+@pytest.mark.parametrize("kind", ["metashape-csv", "gcp-odm", "gcp-geojson", "gcp-pix4dmatic", "gcp"])
+def test_control_lists(tmp_path: Path, kind: str) -> None:
+    """Every control point with its name, coordinates to 1e-9 m and, where the format has them, sigmas."""
+    truth = scene(crs="EPSG:32632")
+    write = registry.FORMATS[kind].write
+    assert write is not None
+    path = tmp_path / FILES.get(kind, "p.csv")
+    write(truth, path)
+    value = registry.read(path, kind, registry.Reading(crs="EPSG:32632"))
+    own, other = (dict(zip(v.points.names, v.points.xyz, strict=True)) for v in (truth, value))
+    assert len(other) >= 8 and set(other) <= set(own)
+    for name, xyz in other.items():
+        np.testing.assert_allclose(xyz, own[name], rtol=0, atol=1e-9)
+    if kind != "gcp-odm":
+        np.testing.assert_allclose(value.points.sigma[0], [0.02, 0.02, 0.03])
+
+
 def test_a_list_with_a_crs(tmp_path: Path) -> None:
     truth = scene(crs="EPSG:32632")
     for kind in ("gcp-odm", "gcp-geojson", "qgis", "gcp-pix4dmatic"):

@@ -169,3 +169,19 @@ def test_odm_lists_that_are_wrong(tmp_path: Path, lines: str, says: list[str]) -
         read(tmp_path, "EPSG:25832\n" + lines + "\n")
     for part in ["list.txt", *says]:
         assert part in str(error.value)
+
+
+@pytest.mark.parametrize(("text", "sigma"), [
+    ("#Label,X/Easting,Y/Northing,Z/Altitude,X_Accuracy,Y_Accuracy,Z_Accuracy\nA,684210.5,5334100.25,412.1,0.01,0.02,0.03\n",
+     (0.01, 0.02, 0.03)),
+    ('"Station","N","E","Z","Std N","Std E","Std Z"\n"A","5334100.25","684210.5","412.1","0.02","0.01","0.03"\n',
+     (0.01, 0.02, 0.03)),
+    ("Nr;Rechtswert;Hochwert;Höhe;sxy;sz\nA;684.210,5;5.334.100,25;412,1;0,01;0,02\n", (0.01, 0.01, 0.02)),
+    ('id,x,y,z,sxy,sz\nA,"684,210.5","5,334,100.25",412.1,0.01,0.02\n', (0.01, 0.01, 0.02)),
+    ("NAME X Y Z sxy sz\nA 684210.5 5334100.25 412.1 0.01 0.02\n", (0.01, 0.01, 0.02)),
+])
+def test_headers_of_other_programs(tmp_path: Path, text: str, sigma: tuple[float, ...]) -> None:
+    (tmp_path / "list.csv").write_text(text)
+    control = read_control(tmp_path / "list.csv")
+    assert control.names == ("A",) and control.xyz.tolist() == [[684210.5, 5334100.25, 412.1]]
+    assert control.sigma.tolist() == [list(sigma)]
