@@ -94,7 +94,7 @@ def test_a_person_is_asked_when_columns_are_unclear(tmp_path: Path) -> None:
     ("name,X,Y,Z\nP1,1,2,3\nP1,4,5,6\n", ["line 3", "'P1' is already in line 2"]),
     ("name,X,Y,Z\nP1,1,2,3\nP2,4,5\n", ["line 3", "3 cells where line 1 has 4"]),
     ("name,X,Y,Z\nP1,684210,5,5334100,25,412,125\nP2,684310,75,5334180,5,418,0\n", ["commas are both"]),
-    ("name;X;Y;Z\nP1;1.234,5;2;3\n", ["line 2", "X is '1.234,5'"]),
+    ("name;X;Y;Z\nP1;12.34,5;2;3\n", ["line 2", "X is '12.34,5'"]),
     ("name,X,Y,Z,sX\nP1,1,2,3,-1\n", ["line 2", "sX is -1"]),
     ("", ["empty"]), ("# only\n# comments\n", ["only comments"]), ("name,X,Y,Z\n", ["no line below"]),
     ("hello\n", ["line 1", "not cut into columns"]),
