@@ -129,35 +129,30 @@ def multiband(shots: Sequence[Shot], shape: tuple[int, int], window: Window, met
     Beyond its edges a photo goes on with what the others show, and where no one does with what lies nearest, so that no edge
     of a photo shines through.
     """
-    out = np.empty((*shape, 4), np.float32)
-    blended(out, 0, shots, "feather", window, method)
-    shown = (out[..., 3] > 0).astype(np.float32)
-    base = out[..., :3] / np.maximum(out[..., 3:], 1e-12)
-    out[..., 3] = shown
-    if len(shots) < 2 or not shown.any():
-        out[..., :3] = base
-        return out
-    base = _gone_on(base, shown)
+    acc = np.empty((*shape, 4), np.float32)
+    blended(acc, 0, shots, "feather", window, method)
+    shown = (acc[..., 3] > 0).astype(np.float32)
+    base = acc[..., :3] / np.maximum(acc[..., 3:], 1e-12)
     sums: list[np.ndarray] = []
     weights: list[np.ndarray] = []
-    acc = np.empty((*shape, 4), np.float32)
-    for s in shots:
-        if s.label is None or not (s.label > 0).any():
-            continue
-        acc.fill(0)
-        warp_onto(acc, s.photo, s.lattice, window, method, bright=s.bright)
-        mask, empty = interpolated(s.label, s.lattice.step, shape), acc[..., 3] <= 0
-        mask[empty] = 0
-        acc[empty, :3] = base[empty]
-        _add_bands(acc, mask, sums, weights)
-    if not sums:
-        out[..., :3] = base
-        return out
-    left = np.clip(1 - weights[0], 0, None)  # nobody's: the feathered picture
-    if (left > 1e-3).any():
-        _add_bands(base, left, sums, weights)
-    out[..., :3] = _joined(sums, weights)
-    return out
+    if len(shots) > 1 and shown.any():
+        base = _gone_on(base, shown)
+        for s in shots:
+            if s.label is None or not (s.label > 0).any():
+                continue
+            acc.fill(0)
+            warp_onto(acc, s.photo, s.lattice, window, method, bright=s.bright)
+            mask, empty = interpolated(s.label, s.lattice.step, shape), acc[..., 3] <= 0
+            mask[empty] = 0
+            for colour in range(3):
+                np.copyto(acc[..., colour], base[..., colour], where=empty)
+            _add_bands(acc, mask, sums, weights)
+        left = np.clip(1 - weights[0], 0, None) if sums else np.zeros(0)  # nobody's: the feathered picture
+        if (left > 1e-3).any():
+            _add_bands(base, left, sums, weights)
+    acc[..., :3] = _joined(sums, weights) if sums else base
+    acc[..., 3] = shown
+    return acc
 
 
 def _add_bands(picture: np.ndarray, mask: np.ndarray, sums: list[np.ndarray], weights: list[np.ndarray]) -> None:

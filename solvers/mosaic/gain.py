@@ -70,7 +70,7 @@ def _unclipped(survey: Survey, tones: tuple[Tone, ...]) -> tuple[Tone, ...]:
     over = []
     for k in survey.looks:
         factor = tones[k.number].factor(k.photo, *np.moveaxis(k.pixels(), -1, 0))
-        light = k.colours.max(-1)
+        light = k.colours.max(-1).astype(np.float32)
         over.append((np.log(np.maximum(light * factor, 1.0) / np.maximum(light, _FULL)))[k.seen][::7])
     shift = max(float(np.percentile(np.concatenate(over), 99)), 0.0)
     return tuple(replace(t, exposure=t.exposure + shift) for t in tones)
@@ -91,7 +91,6 @@ class _Rows:
 
 def _differences(survey: Survey) -> _Rows:
     grey = {k.number: _smooth(k) for k in survey.looks}
-    radials = {k.number: radial(k.photo, *np.moveaxis(k.pixels(), -1, 0)) for k in survey.looks}
     parts: list[tuple[np.ndarray, ...]] = []
     for i, a in enumerate(survey.looks):
         for b in survey.looks[i + 1:]:
@@ -106,11 +105,17 @@ def _differences(survey: Survey) -> _Rows:
                 continue
             at = at[np.linspace(0, len(at) - 1, min(MOST, len(at))).astype(int)]
             parts.append((np.full(len(at), a.number), np.full(len(at), b.number), np.log(ga.ravel()[at] / gb.ravel()[at]),
-                          radials[a.number][in_a].reshape(-1, 3)[at], radials[b.number][in_b].reshape(-1, 3)[at]))
+                          *(_radial(k, window, at) for k, window in ((a, in_a), (b, in_b)))))
     if not parts:
         none = np.empty(0, int)
         return _Rows(none, none, np.empty(0), np.empty((0, 3)), np.empty((0, 3)))
     return _Rows(*(np.concatenate(p) for p in zip(*parts, strict=True)))
+
+
+def _radial(look: Look, window: tuple[slice, slice], at: np.ndarray) -> np.ndarray:
+    """(k, 3) `radial` at places, counted through in a window of a look."""
+    rows, columns = np.divmod(at, window[1].stop - window[1].start)
+    return radial(look.photo, *look.pixels_of(rows + window[0].start, columns + window[1].start).T)
 
 
 def _smooth(look: Look) -> np.ndarray:
@@ -119,7 +124,7 @@ def _smooth(look: Look) -> np.ndarray:
 
     grey = cv2.blur(look.colours.mean(-1), (5, 5))
     whole = cv2.erode(look.seen.astype(np.uint8), np.ones((5, 5), np.uint8), borderValue=0)
-    return np.where(whole > 0, grey, np.nan)
+    return np.where(whole > 0, grey, np.nan).astype(np.float32)
 
 
 def overlap(a: Look, b: Look) -> tuple[tuple[slice, slice], tuple[slice, slice]] | None:

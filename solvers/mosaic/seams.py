@@ -76,7 +76,7 @@ def _cut(number: np.ndarray, a: Look, b: Look) -> None:
     if len(rows) < 3 or len(columns) < 3:
         return
     box = slice(max(rows[0] - 1, 0), rows[-1] + 2), slice(max(columns[0] - 1, 0), columns[-1] + 2)
-    fa, fb = a.colours[in_a][box], b.colours[in_b][box]
+    fa, fb = (c[box].astype(np.float32) for c in (a.colours[in_a], b.colours[in_b]))
     fb = fb * (fa[free[box]].mean(0) / np.maximum(fb[free[box]].mean(0), 1.0))  # exposure must not pull the seam
     masks = [np.ascontiguousarray(m[box]).astype(np.uint8) * 255 for m in (may_a, may_b)]
     pictures = [np.ascontiguousarray(f, np.float32) for f in (fa, fb)]

@@ -27,7 +27,7 @@ Small = Callable[[str, int], np.ndarray]
 
 @dataclass(frozen=True)
 class Look:
-    """A photo on the coarse grid: window `tile`, colours (h, w, 3) float32, `seen` (h, w), feather weight (h, w), and the way
+    """A photo on the coarse grid: window `tile`, colours (h, w, 3) uint8, `seen` (h, w), feather weight (h, w), and the way
     to its full-resolution pixels."""
 
     number: int
@@ -42,6 +42,15 @@ class Look:
         """(h, w, 2) full-resolution photo pixels of the window's cells."""
         shape, step = self.seen.shape, self.lattice.step
         return np.stack([interpolated(np.nan_to_num(x), step, shape) for x in (self.lattice.u, self.lattice.v)], -1)
+
+    def pixels_of(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """(k, 2) of them: those of cells (k,) of the window."""
+        step, out = self.lattice.step, []
+        for x in (np.nan_to_num(self.lattice.u), np.nan_to_num(self.lattice.v)):
+            i, j = np.minimum(rows // step, x.shape[0] - 2), np.minimum(columns // step, x.shape[1] - 2)
+            a, b = rows / step - i, columns / step - j
+            out.append((1 - a) * ((1 - b) * x[i, j] + b * x[i, j + 1]) + a * ((1 - b) * x[i + 1, j] + b * x[i + 1, j + 1]))
+        return np.stack(out, -1)
 
 
 @dataclass(frozen=True)
@@ -105,7 +114,7 @@ def _look(number: int, photo: Placed, grid: Grid, ground: Ground, outline: np.nd
     if not seen.any():
         return None
     edge = interpolated(feather(photo, lattice.u, lattice.v), lattice.step, seen.shape)
-    return Look(number, photo, tile, np.ascontiguousarray(acc[..., :3]), seen, edge, lattice)
+    return Look(number, photo, tile, np.rint(acc[..., :3]).astype(np.uint8), seen, edge, lattice)
 
 
 def bounds_of(grid: Grid, tile: Tile, ground: Ground, photos: Sequence[Placed]) -> tuple[float, float, float, float]:
