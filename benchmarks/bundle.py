@@ -134,14 +134,16 @@ def run_ours(b: dict[str, Any], threads: int, free: tuple[str, ...], covariance:
     made, x = problem()
     watch = _watch(made, x) if traced else None
     t1, c1 = time.perf_counter(), time.process_time()
-    rows = []
+    rows, spent = [], 0.0
     for row in iterate(made, x, options):
         if watch is not None:
+            before = time.process_time()
             watch(row)
+            spent += time.process_time() - before
         rows.append((time.process_time() - c1, row.cost, row.index))
         last = row.x
     out = {"build": t1 - t0, "solve": time.perf_counter() - t1, "cpu": time.process_time() - c1, "cost": rows[-1][1],
-           "iterations": rows[-1][2], "reached": _reached([(t, c) for t, c, _ in rows])}
+           "iterations": rows[-1][2], "reached": _reached([(t, c) for t, c, _ in rows]), "trace": spent}
     if covariance:
         from dataclasses import replace
 
@@ -544,6 +546,9 @@ def main() -> None:
                   f"{r['above']:8.0f} {r['reached']:8.2f} "
                   f"{r.get('covariance', float('nan')):12.2f} {r.get('covariance cpu', float('nan')):8.2f}",
                   flush=True)
+            if r.get("trace"):
+                share = 100 * r["trace"] / r["cpu"]
+                print(" " * 18, f"the rows themselves, written and drawn: {r['trace']:.3f} s of CPU, {share:.1f} %")
             if first:
                 kinds = ("solve", "cpu", "peak", "above", "covariance cpu")
                 print(" " * 18, "ratios to the first: " + ", ".join(f"{k} {r[k] / max(first[k], 1e-9):.2f}" for k in kinds
