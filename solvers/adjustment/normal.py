@@ -55,6 +55,11 @@ class Dense:
         return self.n / self.scale / self.scale[:, None]
 
     @cached_property
+    def condition(self) -> float:
+        """Condition number of `scaled`."""
+        return float(np.linalg.cond(self.scaled))
+
+    @cached_property
     def _border(self) -> tuple[np.ndarray, np.ndarray]:
         """H and w in scaled parameters, rows of unit length."""
         u = len(self.gradient)
@@ -90,7 +95,7 @@ class Dense:
         """
         u = len(self.gradient)
         bordered = self._bordered(0.0)
-        if np.linalg.cond(bordered) > 1e15:
+        if (self.condition if self.h is None else np.linalg.cond(bordered)) > 1e15:
             raise np.linalg.LinAlgError("singular normal matrix")
         q = np.linalg.inv(bordered)[:u, :u]
         q = q / self.scale / self.scale[:, None]

@@ -87,5 +87,5 @@ def precision(linear: Linear, what: str = "the adjustment") -> Precision:
         redundancy=redundancy,
         w=np.where(checked, pv / root, np.nan),
         detectable=np.where(checked, BAARDA_DELTA0 / root, np.inf),
-        condition=float(np.linalg.cond(normal.scaled)),
+        condition=normal.condition,
     )

@@ -105,4 +105,4 @@ def angle_derivatives(m: np.ndarray) -> np.ndarray:
     sk, ck, sp, cp = np.sin(kappa), np.cos(kappa), np.sin(phi), np.cos(phi)
     # columns: left rotation vectors of unit rates of omega, phi, kappa
     rates = np.array([[-cp * ck, -sk, 0.0], [cp * sk, -ck, 0.0], [-sp, 0.0, -1.0]])
-    return np.linalg.pinv(rates, rcond=1e-9)
+    return np.linalg.inv(rates) if abs(cp) > 1e-6 else np.linalg.pinv(rates, rcond=1e-9)

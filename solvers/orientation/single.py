@@ -137,8 +137,8 @@ def conclude(start: Start, trace: Trace) -> Orientation:
     if start.request.model == "perspective" or near is None or _false(control, chosen.local, near.exterior):
         near = None  # else the perspective minimum beside an orthogonal solution, which leads there again
     warnings = list(chosen.warnings)
-    others = [o for o in (_alternative(start, k, control, warnings) for k in start.others if k is not near) if o is not None]
-    others = [o for o in others if apart(o.local, chosen.local) > SAME]
+    others = [_alternative(start, k, control, chosen.local, warnings) for k in start.others if k is not near]
+    others = [o for o in others if o is not None]
     d = discrimination(start, chosen.local, control)
     if d is not None and d < AMBIGUOUS:
         probability = _normal_probability(d / 2)
@@ -340,7 +340,7 @@ def _orthogonal_covariance(start: Start, problem: Orthogonal, trace: Trace, loca
     return leak.iterated, said
 
 
-def _alternative(start: Start, candidate: Candidate, control: Control, said: list[str]) -> Orientation | None:
+def _alternative(start: Start, candidate: Candidate, control: Control, chosen: Exterior, said: list[str]) -> Orientation | None:
     """Another solution of the same model, or None where it does not converge to one or has no covariance, which is said."""
     problem, options = start.problem, start.options
     if isinstance(problem, Resection):
@@ -351,12 +351,13 @@ def _alternative(start: Start, candidate: Candidate, control: Control, said: lis
         x0 = problem.start(problem.affine_of(candidate.exterior))
     trace = run(problem, x0, options) if isinstance(problem, Resection) else solve(problem, x0, options)
     trace = replace(trace, manifest=start.manifest)
-    if not trace.converged or not np.isfinite(_rms(control, Exterior.from_vector(trace.last.x))):
+    end = Exterior.from_vector(trace.last.x)
+    if not trace.converged or not apart(end, chosen) > SAME or not np.isfinite(_rms(control, end)):
         return None
     try:
         return _describe(start, trace)
     except DegenerateGeometry:
-        x, y, z = start.frame.to_map(Exterior.from_vector(trace.last.x).centre)
+        x, y, z = start.frame.to_map(end.centre)
         said.append(f"another solution has the camera at {x:.2f}, {y:.2f}, {z:.2f} m (chi-square {2 * trace.last.cost:.2f}); its "
                     "normal matrix is singular (danger cylinder), so it has no standard errors and is not listed")
         return None

@@ -146,7 +146,7 @@ def test_too_many_freed_parameters():
         resect(block_of(cluster(n=4), SEED_EXTERIOR), "a", free=("c", "xp", "yp"))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(3, 9), flat=st.sampled_from([1.0, 1e-3, 1e-6, 0.0]),
        narrow=st.sampled_from([1.0, 1e-2, 1e-4]), far=st.sampled_from([1.0, 30.0]), noise=st.sampled_from([0.0, 0.5]),
        solve=st.sampled_from([resect, resect_orthogonal]))
