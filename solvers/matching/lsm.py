@@ -14,6 +14,8 @@ from .result import LsmResult, NccResult, Status
 
 _SCORE, _ITERATIONS, _KEPT, _STATUS = 8, 13, 14, 15  # columns of the compiled batch
 _PEAK_MOVE = 4.0  # px, a correlation's peak is never farther from the place
+_MISLED = (Status.LOW_SCORE, Status.AT_BORDER, Status.DIVERGED, Status.NOT_CONVERGED)
+_CLEAR = 3.0  # times its residual variance, that others leave, make a place unique although not all others are adjusted
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,7 @@ class LsmOptions:
     min_score: float = 0.6  # least correlation after the adjustment
     max_move: float = 10.0  # px from the start (of the adjustment, after a correlation)
     smooth: float = SMOOTH  # px, presmoothing of raw images
-    min_gap: float = 1.35  # a rival place must leave this many times the residual variance
+    min_gap: float = 1.35  # a rival place must leave this many times the residual variance, in a window of 21 px
 
 
 def match_lsm(template_image: np.ndarray | Photo, target_image: np.ndarray | Photo, at: np.ndarray, start: np.ndarray,
@@ -60,33 +62,63 @@ def match_lsm(template_image: np.ndarray | Photo, target_image: np.ndarray | Pho
     if search <= 0:
         return _result(_adjust(template, target, at, start, matrices, half, options, workers), origin)
     coarse = match_ncc(template, target, at, start, window, search, threshold, shape=matrices, uniqueness=2.0, workers=workers)
-    return _result(_from_peaks(template, target, at, coarse, matrices, half, options, workers), origin)
+    return _result(_from_peaks(template, target, at, start, coarse, matrices, half, options, workers), origin)
 
 
-def _from_peaks(template: Photo, target: Photo, at: np.ndarray, coarse: NccResult, matrices: np.ndarray, half: int,
-                options: LsmOptions, workers: int) -> np.ndarray:
-    """(N, 16) rows adjusted from the correlation's best peaks; where rivals come near, from them too, and compared."""
+def _from_peaks(template: Photo, target: Photo, at: np.ndarray, start: np.ndarray, coarse: NccResult, matrices: np.ndarray,
+                half: int, options: LsmOptions, workers: int) -> np.ndarray:
+    """(N, 16) rows adjusted from the correlation's best peaks; where rivals come near, from them too, and compared.
+
+    Where turn and scale have misled the correlation, what is adjusted from a lesser peak or from the start itself counts when
+    it leaves far less than all other places do.
+    """
     options = replace(options, max_move=min(options.max_move, _PEAK_MOVE))
     best = np.full((len(at), 16), np.nan)
     best[:, _SCORE], best[:, _STATUS] = coarse.score, coarse.status
     best[:, _ITERATIONS] = best[:, _KEPT] = 0
     found = np.flatnonzero(coarse.ok)
     best[found] = _adjust(template, target, at[found], coarse.pixel[found], matrices[found], half, options, workers)
-    which, rank = np.nonzero(np.isfinite(coarse.rival_score) & coarse.ok[:, None])
+    border = coarse.status == Status.AT_BORDER
+    which, rank = np.nonzero(np.isfinite(coarse.rival_score) & (coarse.ok | border)[:, None])
     rivals = np.full((len(at), coarse.rival_score.shape[1], 16), np.nan)
     rivals[which, rank] = _adjust(template, target, at[which], coarse.rival[which, rank], matrices[which], half, options, workers)
+    gap = options.min_gap ** max(1.0, 10.5 / (half + 0.5))  # the logarithm of a variance scatters as 1 / the window's side
     for rival in np.moveaxis(rivals, 1, 0):
-        best[:] = _better(best, rival, options.min_gap)
+        best[:] = _better(best, rival, gap)
+    others = _least_loss(best, rivals)
+    away = np.linalg.norm(coarse.rival - best[:, None, :2], axis=2) > 1.0  # rivals as correlated, where adjusting lost them
+    others = np.fmin(others, np.fmin.reduce(np.where(away, 1 - coarse.rival_score**2, np.nan), axis=1))
+    best[(best[:, _STATUS] == Status.OK) & (others < gap * _loss(best)), _STATUS] = Status.NOT_UNIQUE
     crowded = (coarse.count > coarse.rival_score.shape[1]) & (best[:, _STATUS] == Status.OK)
-    best[crowded, _STATUS] = Status.NOT_UNIQUE
+    best[crowded & ~(_CLEAR * _loss(best) < others), _STATUS] = Status.NOT_UNIQUE
+    if (edge := np.flatnonzero(border & (best[:, _STATUS] == Status.OK))).size:
+        row = _adjust(template, target, at[edge], coarse.peak[edge], matrices[edge], half, options, workers)
+        others = np.fmin(_least_loss(best[edge], row[:, None]), 1 - coarse.score[edge] ** 2)
+        best[edge[~(_CLEAR * _loss(best[edge]) < others)], _STATUS] = Status.AT_BORDER
+    if (lost := np.flatnonzero(np.isin(best[:, _STATUS], _MISLED))).size:
+        row = _adjust(template, target, at[lost], start[lost], matrices[lost], half, options, workers)
+        others = np.fmin(_least_loss(row, rivals[lost]), 1 - np.maximum(coarse.score[lost], 0) ** 2)
+        found = (row[:, _STATUS] == Status.OK) & (_CLEAR * _loss(row) < others)
+        best[lost[found]] = row[found]
     return best
+
+
+def _loss(rows: np.ndarray) -> np.ndarray:
+    """Share of the template's variance that a match leaves."""
+    return 1 - rows[..., _SCORE] ** 2
+
+
+def _least_loss(best: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """(N,) the least that others (N, k, 16) leave more than a pixel away, wherever they have come to; NaN where nothing is."""
+    apart = np.linalg.norm(others[..., :2] - best[:, None, :2], axis=2) > 1.0
+    return np.fmin.reduce(np.where(apart, _loss(others), np.nan), axis=1)
 
 
 def _better(best: np.ndarray, rival: np.ndarray, gap: float) -> np.ndarray:
     """(N, 16) the better of two rows; not unique where both fit about as well at different places."""
     fits = np.isin(best[:, _STATUS], (Status.OK, Status.NOT_UNIQUE))
     also = rival[:, _STATUS] == Status.OK
-    loss, other = 1 - best[:, _SCORE] ** 2, 1 - rival[:, _SCORE] ** 2
+    loss, other = _loss(best), _loss(rival)
     apart = np.linalg.norm(best[:, :2] - rival[:, :2], axis=1) > 1.0
     low, high = np.minimum(loss, other), np.maximum(loss, other)
     close = fits & also & apart & (high < gap * low)

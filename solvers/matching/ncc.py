@@ -71,4 +71,5 @@ def match_ncc(template_image: np.ndarray | Photo, target_image: np.ndarray | Pho
     vague = peak_sigma(score, out[:, -1], window**2 * smoothing(target.smooth).value) > VAGUE
     status[(status == Status.OK) & vague & (uniqueness <= 1)] = Status.UNCERTAIN
     pixel = np.where((status == Status.OK)[:, None], out[:, :2] + origin, np.nan)
-    return NccResult(pixel, score, out[:, 4].astype(int), rivals[:, :, :2] + origin, rivals[:, :, 2], status)
+    return NccResult(pixel, score, out[:, 4].astype(int), rivals[:, :, :2] + origin, rivals[:, :, 2], status,
+                     out[:, :2] + origin)

@@ -74,7 +74,8 @@ class LsmResult:
 class NccResult:
     """Correlation matches of N points. pixel (N, 2) col, row of the highest peak (sub-pixel), NaN where not found;
     score (N,) its correlation; count (N,) of rivals, other peaks above three quarters of it in the search window; rival
-    (N, 5, 2) and rival_score (N, 5) the best of them, NaN where there are fewer; status (N,) `Status`."""
+    (N, 5, 2) and rival_score (N, 5) the best of them, NaN where there are fewer; status (N,) `Status`; peak (N, 2): as pixel, but
+    also where it is refused."""
 
     pixel: np.ndarray
     score: np.ndarray
@@ -82,6 +83,7 @@ class NccResult:
     rival: np.ndarray
     rival_score: np.ndarray
     status: np.ndarray
+    peak: np.ndarray
 
     @property
     def uniqueness(self) -> np.ndarray:

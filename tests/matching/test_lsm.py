@@ -147,6 +147,30 @@ def test_repetitive_texture_is_refused_or_right():
         assert np.isin(r.status, (Status.NOT_UNIQUE, Status.AT_BORDER)).mean() > 0.95
 
 
+@pytest.mark.parametrize("window", [21, 15, 11])
+def test_bricks_and_dots_are_refused_or_right(window: int):
+    rng = np.random.default_rng([12, window])
+    row, col = np.mgrid[0:260, 0:260].astype(float)
+    course = np.floor(row / 8)
+    bricks = np.where(((col + (course % 2) * 9) % 18 < 1.5) | (row % 8 < 1.5), 180.0, 100.0)
+    dots = np.zeros((260, 260))
+    dots[8::13, 8::15] = 900.0
+    for scene in (gaussian_filter(bricks, 0.8), 120 + gaussian_filter(dots, 1.5)):
+        left, right = (np.round(scene + rng.normal(0, 2, scene.shape)) for _ in range(2))
+        at = rng.integers(60, 200, (200, 2)).astype(float)
+        r = match_lsm(left, right, at, at + rng.uniform(-8, 8, at.shape), window, search=12)
+        assert (r.ok & ~(np.linalg.norm(r.pixel - at, axis=1) < 1)).sum() <= 2  # 1 %; 0.1 % over many textures
+
+
+def test_a_misled_correlation_does_not_lose_what_adjusting_finds():
+    shape = 1.1 * np.array([[np.cos(0.17), -np.sin(0.17)], [np.sin(0.17), np.cos(0.17)]])
+    left, right, at, truth = pair(13, 2.0, shape, (-5.0, 3.0))
+    inside = ((truth > 40) & (truth < 220)).all(1)
+    plain, searched = (match_lsm(left, right, at[inside], truth[inside] + [0.4, -0.3], search=s) for s in (0, 10))
+    for r in (plain, searched):
+        assert r.ok.mean() > 0.99 and np.nanmax(np.linalg.norm(r.pixel - truth[inside], axis=1)) < 0.5
+
+
 def test_shaping_parameters_that_cannot_be_determined_are_dropped():
     rng = np.random.default_rng(7)
     row, col = np.mgrid[0:100, 0:100].astype(float)
