@@ -163,8 +163,8 @@ def test_bricks_and_dots_are_refused_or_right(window: int):
 
 
 def test_a_misled_correlation_does_not_lose_what_adjusting_finds():
-    shape = 1.1 * np.array([[np.cos(0.17), -np.sin(0.17)], [np.sin(0.17), np.cos(0.17)]])
-    left, right, at, truth = pair(13, 2.0, shape, (-5.0, 3.0))
+    shape, centre = 1.15 * np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]]), np.array([130.0, 130.0])
+    left, right, at, truth = pair(13, 2.0, shape, tuple(centre - shape @ centre))
     inside = ((truth > 40) & (truth < 220)).all(1)
     plain, searched = (match_lsm(left, right, at[inside], truth[inside] + [0.4, -0.3], search=s) for s in (0, 10))
     for r in (plain, searched):
