@@ -87,15 +87,20 @@ class _Ellipse:
 
 
 def _blobs(grey: np.ndarray, dark: bool, options: TargetOptions, holes: bool) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Outlines of darker (lighter) regions that look like an ellipse: centre, covariance of their area."""
+    """Outlines of regions darker (lighter) than their surroundings that look like an ellipse: centre, covariance of their area.
+
+    The surroundings of rings are taken wide and narrow, so that a lamp or a curtain near one of them does not hide it.
+    """
     import cv2
 
-    side = int(2 * min(options.largest_diameter, min(grey.shape) / 8)) | 1
+    side = 2 * min(options.largest_diameter, min(grey.shape) / 8)
     smooth = cv2.GaussianBlur(grey, (0, 0), 0.8)
-    surround = cv2.blur(smooth, (side, side), borderType=cv2.BORDER_REFLECT_101)
-    step = (surround - smooth) if dark else (smooth - surround)
-    mask = (step > max(options.least_contrast / 2, 4.0)).astype(np.uint8)
-    contours, _ = cv2.findContours(mask, cv2.RETR_CCOMP if holes else cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    contours = []
+    for wide in (int(side) | 1, int(side / 3) | 1)[: 2 if holes else 1]:
+        surround = cv2.blur(smooth, (wide, wide), borderType=cv2.BORDER_REFLECT_101)
+        step = (surround - smooth) if dark else (smooth - surround)
+        mask = (step > max(options.least_contrast / 2, 4.0)).astype(np.uint8)
+        contours += cv2.findContours(mask, cv2.RETR_CCOMP if holes else cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
     blobs = []
     for contour in contours:
         m = cv2.moments(contour)

@@ -6,6 +6,7 @@ from scipy.ndimage import gaussian_filter
 
 from solvers.errors import DegenerateGeometry, Unsupported
 from solvers.matching import find_targets, number_targets
+from solvers.matching.codes import code_sectors
 
 OVER = 4  # samples a pixel side
 
@@ -109,6 +110,34 @@ def test_dots_number_themselves_from_four_coded_corners(turn: int):
     assert len(names) == 100 == len(found)
     for row, col in ((0, 0), (9, 3), (4, 7), (1, 8)):
         assert np.linalg.norm(names[f"{row}-{col}"] - to_pixel(matrix, np.array([[col, row]], float))[0]) < 0.1
+
+
+def test_a_code_seen_twice_is_where_the_dots_come_to_lie_on_the_grid():
+    def doubled(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """The sheet and, beside it, a second dot with the code of two sectors."""
+        r, turn = np.hypot(x - 10.6, y - 4.4), np.arctan2(y - 4.4, x - 10.6) % (np.pi / 2)
+        second = (turn < np.radians(45)) & (np.arctan2(y - 4.4, x - 10.6) % (2 * np.pi) < np.pi)
+        return sheet(x, y) & ~((r < 0.12) | ((r > 0.34) & (r < 0.5) & second))
+
+    matrix = np.array([[36.0, 0, 70], [0, 36, 90], [0.0001, 0.0002, 1]])
+    photo = view(doubled, matrix, (500, 500), seed=4)
+    found = find_targets(photo)
+    assert len(found) == 101 and (code_sectors(photo, found) == 2).sum() == 2
+    label = number_targets(photo, found).label
+    stray = np.linalg.norm(found.pixel - to_pixel(matrix, np.array([[10.6, 4.4]]))[0], axis=1).argmin()
+    assert (label != "").sum() == 100 and label[stray] == ""
+
+
+def test_a_lamp_and_a_curtain_do_not_hide_a_ring():
+    def rings(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        r = np.hypot(x, y)
+        return ~((r < 10) | ((r > 14) & (r < 18)) | ((r > 22) & (r < 26)))
+
+    matrix = np.array([[1.0, 0, 240], [0, 1.0, 240], [0, 0, 1]])
+    photo = view(rings, matrix, (480, 480), seed=5)
+    photo[:190], photo[300:] = 255, 5
+    found = find_targets(photo, kind="ring")
+    assert len(found) == 1 and found.edges[0] >= 3 and np.abs(found.pixel[0] - 240).max() < 0.05
 
 
 def test_nothing_is_found_in_texture_and_the_refusals_say_why():
