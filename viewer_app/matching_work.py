@@ -194,7 +194,7 @@ def adjust_work(block: Block, frame: LocalFrame) -> Iterator[str | Network]:
 
     yield "Bundle: looking for a start"
     datum = _datum(block)
-    start = prepare_bundle(block, BundleRequest(datum=datum, loss="huber"))  # type: ignore[arg-type]
+    start = prepare_bundle(block, BundleRequest(datum=datum, loss="huber", rolling_shutter="auto"))  # type: ignore[arg-type]
     rows: list[Iteration] = []
     for row in iterate(start.problem, start.x0, start.options):
         rows.append(row)
