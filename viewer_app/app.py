@@ -23,6 +23,7 @@ from .home import home
 from .jobs import Jobs
 from .keeping import Keeper, resume
 from .loading import bring, open_project
+from .matching_state import Matching, Network
 from .overlay import view_through
 from .paint_viser import Painter
 from .palette import complete
@@ -182,7 +183,9 @@ class App:
         jobs = wanted(state)
         if not any(job.image == state.image and job.model in MODELS for job in jobs):
             self._first.set()
-        if self._home_opens:
+        network = state.room(Matching).network
+        if self._home_opens or network is not self._placed:  # tie points that were placed are looked at
+            self._placed = network
             self._look()
             self._home_opens = bool(jobs)
         with self.server.atomic():
@@ -209,6 +212,7 @@ class App:
         server.scene.configure_default_lights(cast_shadow=False)
         self._before: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray, float]] = {}
         self._home: tuple[np.ndarray, np.ndarray, float] | None = None
+        self._placed: Network | None = None
         server.initial_camera.fov = np.radians(45)
         self._look()
         self._dark: bool | None = None

@@ -18,9 +18,7 @@ def home(state: State) -> tuple[np.ndarray, np.ndarray, float]:
     at = [*centres(state)] if len(state.block.images) > MANY else [e.centre for e in _known(state)]
     at += [p for i in state.block.images[:MANY] if i.prior is not None and (p := position(state, i.name)) is not None]
     network = state.room(Matching).network
-    if network is not None:
-        at += [e.centre for e in network.exteriors.values()]
-        at += [*np.percentile(network.xyz, (2, 98), axis=0)] if len(network.xyz) else []  # a stray point is not looked at
+    at += [] if network is None else [e.centre for e in network.exteriors.values()]
     corners = np.vstack([low, high, *at])
     low, high = corners.min(axis=0), corners.max(axis=0)
     middle, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)
