@@ -170,7 +170,8 @@ class _Scene:
         poses, points = self._parts(adjusted.trace.last.x)
         extent = float(np.ptp(np.percentile(np.concatenate([points, poses[:, :3]]), [2, 98], axis=0), axis=0).max())
         off = {p.name: p.off for p in adjusted.points if p.role != "tie" and np.isfinite(p.off).all()}
-        factor = nice(extent / 6 / max((float(np.linalg.norm(v)) for v in off.values()), default=extent))
+        longest = max((float(np.linalg.norm(v)) for v in off.values()), default=0.0)
+        factor = nice(extent / 6 / longest) if longest > 0 else 1.0  # fixed control does not move
         for role, colour in (("control", theme.CONTROL), ("check", theme.RESIDUAL)):
             of = [k for k, p in enumerate(adjusted.points) if p.role == role and p.name in off]
             if of:
