@@ -297,3 +297,18 @@ def test_what_is_not_recognised_names_the_formats(tmp_path: Path) -> None:
         registry.read(tmp_path / "x.bin")
     with pytest.raises(PhotogrammetryError, match="no such file"):
         registry.read(tmp_path / "none")
+
+
+def test_opf_says_that_tie_points_are_not_read(tmp_path: Path) -> None:
+    from .scenes import scene
+
+    write = registry.FORMATS["opf"].write
+    assert write is not None
+    write(scene(), tmp_path / "site")
+    assert not any("glTF" in n for n in registry.read(tmp_path / "site").notes)
+    [project] = (tmp_path / "site").glob("*.opf")
+    content = json.loads(project.read_text())
+    content["items"].append({"id": "f0a8c1f4-6b3c-4ad5-9d6f-0d5f0e0c1a11", "type": "point_cloud", "name": "tracks", "labels": [],
+                             "resources": [{"uri": "tracks.gltf", "format": "model/gltf+json"}], "sources": []})
+    project.write_text(json.dumps(content))
+    assert any("tie points as glTF, which are not read" in n for n in registry.read(tmp_path / "site").notes)

@@ -59,6 +59,8 @@ def read(path: Path, options: Reading = NOTHING) -> Exchange:
         m = rotation_from(c.get("orientation_deg").numbers(3), AngleOrder.OPK, AngleUnit.DEGREES)
         sensor = c.get("sensor_id").text()
         shots.append(Shot(name, sensor if sensor in cameras else None, Exterior(m, to_base(c.get("position").numbers(3))), file))
+    if _has_ties(parts.get("project")):
+        notes.append("the project has tie points as glTF, which are not read: control points and manual tie points are")
     if calibrated is None and parts.get("input-cameras") is not None:
         notes.append("there are no calibrated cameras, their orientations are not known")
     crs, points, observations = _control(parts.get("input-control-points"), numbers, crs, path)
@@ -89,7 +91,12 @@ def _parts(path: Path) -> dict[str, Item]:
             if uri.scheme not in ("", "file") or uri.netloc not in ("", "localhost"):
                 raise resource.error("is on another machine; only files beside the project are read")
             files.append(path.parent / unquote(uri.path))
-    return _by_format([read_json(f) for f in files])
+    return {**_by_format([read_json(f) for f in files]), "project": root}
+
+
+def _has_ties(project: Item | None) -> bool:
+    return project is not None and any("gltf" in r.get("format").text() for item in project.get("items").entries()
+                                       for r in item.get("resources").entries())
 
 
 def _head(path: Path) -> str:
