@@ -208,6 +208,32 @@ def test_the_slider_and_the_plots_choose_a_row(session: Session) -> None:
     act(app, v, Step("last"))
 
 
+def written(v: ViserPage, node: str) -> str:
+    """What a label of the scene says."""
+    return v.page.evaluate("n => window.__viserSceneTree.getState()[n]?.message?.props?.text ?? ''", node)
+
+
+def test_what_is_exaggerated_is_written_in_the_scene_beside_a_scale_bar(session: Session) -> None:
+    app, v = session
+    before = app.state.view
+    act(app, v, Show("labels", True), Show("ellipsoids", True))
+    v.wait_nodes("/ground/grid", "/ground/north", "/ground/scale")
+    v.open_tab("Scene")
+    v.set_slider("Residuals ×", 120)
+    v.set_slider("Ellipsoids ×", 30)
+    until(app, v, lambda: (app.state.view.vectors, app.state.view.ellipsoid) == (120, 30), "both sliders")
+    v.wait_until(lambda: "m, residuals × 120, 95 % ellipsoids × 30" in written(v, "/ground/scale_label"), "the words")
+    v.open_tab("Photo")
+    v.set_slider("Photo residuals ×", 20)
+    until(app, v, lambda: app.state.view.photo_vectors == 20, "the photo's slider")
+    v.page.get_by_text("residual × 20 ·").wait_for()
+    v.open_tab("Legend")
+    v.page.get_by_text("residuals on the ground × 120 · residuals on the photo × 20 · 95 % ellipsoids × 30").wait_for()
+    act(app, v, *(Show(n, getattr(before, n)) for n in ("vectors", "ellipsoid", "photo_vectors", "labels", "ellipsoids")))
+    assert app.state.view == before
+    v.open_tab("Iterations")
+
+
 # -- choosing control
 
 

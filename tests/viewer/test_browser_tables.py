@@ -10,8 +10,9 @@ from playwright.sync_api import Locator
 
 from tests.browser import ViserPage
 from tests.viewer.sessions import Session, act, demo_session, settle, until
-from viewer_app.actions import ChooseImage, SwitchPoint, Undo
+from viewer_app.actions import ChooseImage, ChoosePoint, SwitchPoint, Undo
 from viewer_app.lists import rows_of
+from viewer_app.scene import sight
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(200)]
 
@@ -134,6 +135,43 @@ def test_the_place_scrolled_to_stays(session: Session) -> None:
     until(app, v, lambda: last in app.state.work.off, "the point to be off")
     v.wait_until(lambda: v.page.locator(f"[data-focus='points/on/{last}']").inner_text() == "☐", "the table drawn anew")
     v.wait_until(lambda: v.page.evaluate("() => document.querySelector('[data-keep=points]').scrollTop") == top, "its place")
+
+
+def test_a_button_drawn_anew_between_press_and_release_is_pressed_once(session: Session) -> None:
+    app, v = session
+    name, other = app.state.control()[2], app.state.control()[5]
+    table(v)
+    button = v.page.locator(f"[data-focus='points/on/{name}']")
+    box = button.bounding_box()
+    assert box
+    v.page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    v.page.mouse.down()
+    act(app, v, SwitchPoint(other))
+    v.wait_until(lambda: v.page.locator(f"[data-focus='points/on/{other}']").inner_text() == "☐", "the table drawn anew")
+    v.page.mouse.up()
+    until(app, v, lambda: name in app.state.work.off, "the press")
+    assert app.state.work.off == {name, other} and len(app.state.past) >= 2
+
+
+def test_a_point_shows_its_residuals_in_every_image_and_leads_there(session: Session) -> None:
+    app, v = session
+    first, name = app.state.image, app.state.control()[2]
+    act(app, v, ChoosePoint(name))
+    v.open_tab("Orientation")
+    shown = v.page.get_by_role("table", name="Residuals of the point")
+    shown.wait_for()
+    of, j = app.state.block.observations, app.state.block.point_index(name)
+    images = [app.state.block.images[i].name for i in np.unique(of.image[of.point == j])]
+    rows = [r.split() for r in shown.locator("tbody tr").all_inner_texts()]
+    assert [r[0] for r in rows] == images and len(images) > 2
+    for row in rows:
+        seen = sight(app.state, "perspective", row[0])
+        assert seen is not None
+        assert np.allclose([float(c) for c in row[1:3]], seen.residuals[seen.names.index(name)], atol=0.0051)
+    other = next(i for i in images if i != first)
+    shown.get_by_role("button", name=other).click()
+    until(app, v, lambda: app.state.image == other, "the image")
+    act(app, v, ChooseImage(first), ChoosePoint(None))
 
 
 def test_control_becomes_check(session: Session) -> None:

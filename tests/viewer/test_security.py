@@ -228,12 +228,13 @@ def test_names_of_a_project_are_text_wherever_they_are_shown() -> None:
     from viewer_app.panels.compare import advice_html, solutions_table
     from viewer_app.panels.lists import table_html
     from viewer_app.panels.photo import photo_html
-    from viewer_app.panels.tables import orientation_table, words
+    from viewer_app.panels.tables import orientation_table, point_in_images, words
 
     state = hostile()
     with App(state) as made:
         wire = made._wire
         texts = [project_html(state, wire), point_table(state, wire), words(state), photo_html(state, wire)]
         texts += [orientation_table(state), advice_html(state), solutions_table(state)]
+        texts += [point_in_images(state, wire)]
         texts += [table_html(state, name, wire) for name in ("points", "images", "orientations")]
     assert sum("&lt;img" in t for t in texts) >= 5 and not [t for t in texts if "<img src=x" in t]

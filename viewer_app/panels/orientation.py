@@ -11,7 +11,7 @@ from ..flying import Fly
 from ..looking import looked_through
 from ..state import FORMS, PRIORS, State
 from ..tabs import Command, Desk, Tab
-from .tables import orientation_table, point_table, words
+from .tables import orientation_table, point_in_images, point_table, words
 from .widgets import Emit, Html, bind, prop, put
 
 EVERY, SOME = "all", "own choice"
@@ -55,6 +55,7 @@ class OrientationPanel:
             "Switch point on or off", hint="Take the chosen point into the solution or out of it; it is solved at once."
         )
         self._switch.on_click(self._switched)
+        self._seen = Html(gui)
         self._settings(gui, emit)
 
     def _settings(self, gui: viser.GuiApi, emit: Emit) -> None:
@@ -103,6 +104,7 @@ class OrientationPanel:
         self._table.set(orientation_table(state))
         self._words.set(words(state))
         self._points.set(point_table(state, self._wire))
+        self._seen.set(point_in_images(state, self._wire))
 
 
 def chosen_group(state: State) -> str:

@@ -54,6 +54,33 @@ def orientation_table(state: State) -> str:
     return f"<div {BOX}>{table(head, rows, 'Orientation')}</div>"
 
 
+MOST = 40
+"""Images listed of a point, at most."""
+
+
+def point_in_images(state: State, wire: Wire) -> str:
+    """Residuals of the chosen point in every image that it was measured in, by both models; a click goes to the image."""
+    if state.point is None or state.point not in state.block.points.names:
+        return ""
+    j, of = state.block.point_index(state.point), state.block.observations
+    images = [state.block.images[i].name for i in np.unique(of.image[of.point == j])]
+    rows = []
+    for image in images[:MOST]:
+        cells = [f"<b>{esc(image)}</b>" if image == state.image else esc(image)]
+        for model in MODELS:
+            seen = sight(state, model, image)
+            at = None if seen is None or state.point not in seen.names else seen.residuals[seen.names.index(state.point)]
+            cells += ["–", "–"] if at is None else [f"{v:+.2f}" if np.isfinite(v) else "–" for v in at]
+        rows.append((wire.attributes("fly-image", image, f"go to {image}"), cells))
+    swatches = [swatch(COLOURS[m]) for m in MODELS]
+    head = ("image", *(f"{s}v {axis}" for s in swatches for axis in ("col", "row")))
+    more = f"<div {MUTED}>and {len(images) - MOST} more images</div>" if len(images) > MOST else ""
+    if not images:
+        return f"<div {BOX}><b>{esc(state.point)}</b> is not measured in any image yet.</div>"
+    title = f"<b>{esc(state.point)}</b> <span {MUTED}>in {len(images)} images · residuals in px, observed − projected</span>"
+    return f"<div {BOX}><div>{title}</div>{table(head, rows, 'Residuals of the point', 180)}{more}</div>"
+
+
 def _rms(seen: Sight | None) -> float | None:
     """Length of the two-dimensional residual [px] over the points used, at the row shown."""
     return None if seen is None or not seen.used.any() else float(np.sqrt((seen.residuals[seen.used] ** 2).sum(axis=1).mean()))
