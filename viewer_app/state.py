@@ -208,7 +208,9 @@ class State:
             return max(leading)
         models = COMPARED if self.view.compared else MODELS
         own = max((len(s.rows) - 1 for m in models if (s := self.solution(m)) and s.rows), default=0)
-        return max([own, *(getattr(room, "steps", 0) for room in self.rooms.values())])
+        rooms = self.rooms.values()
+        beside = (room.steps_of(self.image) for room in rooms if hasattr(room, "steps_of"))
+        return max([own, *(getattr(room, "steps", 0) for room in rooms), *beside])
 
     @property
     def shown_row(self) -> int:

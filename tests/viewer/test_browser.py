@@ -16,10 +16,11 @@ from solvers.orientation import Monoplotted
 from tests.browser import ViserPage
 from tests.viewer.sessions import HEAVY, Session, act, camera_path, demo_session, has_pose, settle, until
 from viewer_app import theme
-from viewer_app.actions import ChooseImage, ChoosePoint, ForgetSpots, Show, Step, UsePoints
+from viewer_app.actions import ChooseImage, ChoosePoint, ForgetSpots, Show, Step, SwitchPoint, UsePoints
 from viewer_app.app import App
 from viewer_app.figures import CORRELATION, ELEMENTS, FIGURES
 from viewer_app.looking import looked_through
+from viewer_app.paint_viser import frustum_pose
 from viewer_app.photo_view import percent, window
 from viewer_app.scene import scene
 from viewer_app.spots import plotted
@@ -232,6 +233,28 @@ def test_what_is_exaggerated_is_written_in_the_scene_beside_a_scale_bar(session:
     act(app, v, *(Show(n, getattr(before, n)) for n in ("vectors", "ellipsoid", "photo_vectors", "labels", "ellipsoids")))
     assert app.state.view == before
     v.open_tab("Iterations")
+
+
+def test_two_runs_are_stepped_on_one_slider(session: Session) -> None:
+    app, v = session
+    v.open_tab("Iterations")
+    settle(app, v)
+    path, kept = camera_path(app), app.state.exterior("perspective")
+    v.set_checkbox("Keep this run beside", True)
+    v.wait_nodes(path.replace("/camera", "/kept"))
+    for name in app.state.control()[:12]:
+        act(app, v, SwitchPoint(name))
+    now = app.state.exterior("perspective")
+    assert kept and now and np.linalg.norm(kept.centre - now.centre) > 1e-3
+    shown = v.pose(path.replace("/camera", "/kept"))
+    assert shown and np.allclose(shown["position"], frustum_pose(kept)[1], atol=1e-3)  # where it was
+    v.page.get_by_text("perspective kept row").wait_for()
+    act(app, v, Step("first"))
+    v.page.get_by_text("perspective kept row 0").wait_for()
+    v.set_checkbox("Keep this run beside", False)
+    v.page.get_by_text("perspective kept row").wait_for(state="detached")
+    act(app, v, Step("last"), UsePoints(""))
+    assert not app.state.work.off and v.pose(path.replace("/camera", "/kept")) is None
 
 
 # -- choosing control

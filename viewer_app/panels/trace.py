@@ -14,6 +14,8 @@ from ..actions import GoTo, Play, Speed, Step
 from ..bundle_scene import alone, ink
 from ..bundle_state import Bundle
 from ..figures import CORRELATION, ELEMENTS, FIGURES, RESIDUALS, ChooseFigure, Figure
+from ..kept_run import KeepRun, kept_of, scene
+from ..scene import pale
 from ..state import MODELS, State
 from ..tabs import Command, Desk, Tab
 from ..theme import MODELS as COLOURS
@@ -55,6 +57,13 @@ class TracePanel:
             "the photo. Key: P.",
         )
         bind(self._figure, emit, ChooseFigure)
+        self._keep = gui.add_checkbox(
+            "Keep this run beside",
+            False,
+            hint="The traces of this image as they are now stay, thin and pale, and are stepped with those that you solve next "
+            "with other points or settings.",
+        )
+        bind(self._keep, emit, lambda value: KeepRun(bool(value)))
         self._text = Html(gui)
 
     def draw(self, state: State) -> None:
@@ -63,6 +72,7 @@ class TracePanel:
         put(self._slider, state.shown_row)
         put(self._speed, state.speed)
         put(self._figure, state.room(Figure).name)
+        put(self._keep, bool(kept_of(state)))
         self._text.set(f"<div {BOX}>{self._rows(state)}{self._drawn(state)}</div>")
 
     def _drawn(self, state: State) -> str:
@@ -109,7 +119,8 @@ def _traces(state: State) -> list[tuple[str, Sequence[Iteration], Colour]]:
     bundle = [("bundle", room.rows, ink(state))] if room.rows else []
     if alone(state):
         return list(bundle)
-    return [*((m, s.rows, COLOURS[m]) for m in MODELS if (s := state.solution(m)) and s.rows), *bundle]
+    kept = [(f"{m} kept", s.rows, pale(COLOURS[m], state.view.dark)) for m, s in kept_of(state).items()]
+    return [*((m, s.rows, COLOURS[m]) for m in MODELS if (s := state.solution(m)) and s.rows), *kept, *bundle]
 
 
 def _stop(reason: str) -> str:
@@ -140,4 +151,5 @@ TAB = Tab(
         Command("Next figure", ChooseFigure(), "P", hint="Convergence, elements, correlation or residuals."),
     ),
     heard={"row": _heard_row},
+    scene=scene,
 )
