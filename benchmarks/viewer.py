@@ -216,12 +216,13 @@ def work() -> dict[str, Any]:
         honest, solving.solve = solving.solve, importable
         app.emit(SwitchPoint(app.state.control()[0]))
         time.sleep(0.5)
-        answers = []
+        answers, cpu = [], []
         for name in app.state.block.points.names[:20]:
-            began = time.perf_counter()
+            began, spent_before = time.perf_counter(), time.process_time()
             app.emit(ChoosePoint(name))
             app._actions.join()
             answers.append(1e3 * (time.perf_counter() - began))
+            cpu.append(1e3 * (time.process_time() - spent_before))
         before, began = app._jobs.processes(), time.perf_counter()
         app.emit(Cancel())
         while app._jobs.processes() == before:
@@ -232,6 +233,7 @@ def work() -> dict[str, Any]:
         "click_to_both_solutions_ms": float(np.median(clicks)),
         "answer_ms_median": float(np.median(answers)),
         "answer_ms_max": max(answers),
+        "answer_cpu_ms_median": float(np.median(cpu)),
         "cancel_s": cancelled,
     }
 
@@ -299,8 +301,7 @@ def photo() -> dict[str, Any]:
                 v.wait_until(lambda: app.settled() and percent(app.state) > 799, "the zoom")
                 quiet(v)
                 most = max(most, v.log.bytes_received - before)
-                box, shown = picture.bounding_box(), window(app.state)
-                assert box
+                box, shown = v.box(picture), window(app.state)
                 place = shown.place(*(pixel[k] + [0.4, -0.3]))
                 v.page.mouse.click(box["x"] + place[0] * box["width"], box["y"] + place[1] * box["height"])
                 v.wait_until(lambda: app.state.mark is not None, "the mark")

@@ -184,6 +184,12 @@ class ViserPage:
     def wait_until(self, predicate: Callable[[], Any], what: str, timeout: float = PATIENCE) -> None:
         wait_until(self.page, predicate, what, timeout)
 
+    def box(self, of: Locator) -> dict[str, float]:
+        """x, y, width and height of an element in the page; one that is being drawn anew has none for a moment."""
+        found: list[Any] = []
+        self.wait_until(lambda: found.append(of.bounding_box()) or found[-1], "the element's place")
+        return found[-1]
+
     # -- pictures
 
     def dismiss_notifications(self) -> None:

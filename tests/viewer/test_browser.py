@@ -372,8 +372,7 @@ def test_a_point_is_measured_on_the_photo_to_half_a_pixel(session: Session) -> N
     camera = state.block.camera_of(state.image)
     picture = v.page.get_by_role("img", name="Photo " + state.image)
     picture.wait_for()
-    box = picture.bounding_box()
-    assert box
+    box = v.box(picture)
     at = {"x": (target[0] + 0.5) / camera.width * box["width"], "y": (target[1] + 0.5) / camera.height * box["height"]}
     picture.click(position=at)  # type: ignore[arg-type]
     v.wait_until(lambda: app.state.mark is not None, "the mark")
@@ -389,8 +388,7 @@ def test_a_point_is_measured_on_the_photo_to_half_a_pixel(session: Session) -> N
             lambda mark=mark: f"col {mark.col:.2f}" in v.page.locator("div:has(> svg[aria-label=Magnifier])").inner_text(),
             "the magnifier",
         )
-        box, inner = magnifier.bounding_box(), magnifier.locator("circle")
-        assert box
+        box, inner = v.box(magnifier), magnifier.locator("circle")
         at = [float(inner.get_attribute(c) or "nan") for c in ("cx", "cy")] + (target - [mark.col, mark.row]) / factor
         x, y = np.clip(at / 49, 0.02, 0.98) * box["width"]
         magnifier.click(position={"x": float(x), "y": float(y)})
@@ -417,8 +415,8 @@ def test_the_photo_is_zoomed_to_800_percent_and_a_mark_set_to_a_tenth_of_a_pixel
     until(app, v, lambda: percent(app.state) > 799, "the zoom")
     v.page.locator("[data-percent]", has_text="800 %").wait_for()
     picture = v.page.get_by_role("img", name="Photo ")
-    box, shown = picture.bounding_box(), window(app.state)
-    assert box and shown.width < box["width"] / 7
+    box, shown = v.box(picture), window(app.state)
+    assert shown.width < box["width"] / 7
     target = state.block.observations.pixel[row] + [3.3, -2.4]
     u, w = shown.place(*target)
     v.page.mouse.click(box["x"] + u * box["width"], box["y"] + w * box["height"])
@@ -437,8 +435,7 @@ def test_wheel_and_shift_drag_move_about_the_photo(session: Session) -> None:
     v.open_tab("Photo")
     camera = app.state.block.camera_of(app.state.image)
     picture = v.page.get_by_role("img", name="Photo ")
-    box = picture.bounding_box()
-    assert box
+    box = v.box(picture)
     picture.hover(position={"x": 0.6 * box["width"], "y": 0.4 * box["height"]})  # waits until it lies still
     place = photo_place(app, v, 0.6 * camera.width, 0.4 * camera.height)
     v.page.mouse.wheel(0, -240)
@@ -459,8 +456,7 @@ def test_wheel_and_shift_drag_move_about_the_photo(session: Session) -> None:
 
 def photo_place(app: App, v: ViserPage, col: float, row: float) -> tuple[float, float]:
     """Where a pixel of the chosen photo is on the page."""
-    camera, box = app.state.block.camera_of(app.state.image), v.page.get_by_role("img", name="Photo ").bounding_box()
-    assert box
+    camera, box = app.state.block.camera_of(app.state.image), v.box(v.page.get_by_role("img", name="Photo "))
     return box["x"] + (col + 0.5) / camera.width * box["width"], box["y"] + (row + 0.5) / camera.height * box["height"]
 
 
@@ -479,7 +475,7 @@ def test_a_click_gives_ground_coordinates(session: Session) -> None:
     until(app, v, lambda: len(app.state.spots) == 1, "the place")
     [(_, place)] = plotted(app.state)
     assert isinstance(place, Monoplotted)
-    reach = block.camera_of(app.state.image).width / (picture.bounding_box() or {"width": 1})["width"]  # photo px in one page px
+    reach = block.camera_of(app.state.image).width / v.box(picture)["width"]  # photo px in one page px
     ground_pixel = 300 * 0.0039 / 35
     assert np.linalg.norm(place.ground[:2] - block.points.xyz[j, :2]) < 1.5 * reach * ground_pixel
     v.wait_nodes("/spots/1/cross", "/spots/1/ellipse")
