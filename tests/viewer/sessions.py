@@ -19,6 +19,8 @@ from viewer_app.paint_viser import frustum_pose
 DEMO = Path(__file__).resolve().parents[2] / "assets" / "demo"
 HEAVY = ("terrain", "labels", "photos", "ellipsoids")
 """What costs a renderer without a GPU most."""
+COARSE = 0.5
+"""Pixels of the scene per pixel of the page, where nobody looks at them: a renderer without a GPU is quicker so."""
 Session = tuple[App, ViserPage]
 COUNT = count(1)
 
@@ -27,18 +29,20 @@ COUNT = count(1)
 def demo_session(folder: Path, size: tuple[int, int] = (1150, 680), light: bool = True) -> Iterator[Session]:
     """The demo, settled, in a browser; light: without what costs a renderer most."""
     shutil.copytree(DEMO, folder, ignore=shutil.ignore_patterns("runs"))
-    with viewed(folder, size, HEAVY if light else ()) as made:
+    with viewed(folder, size, HEAVY if light else (), COARSE if light else 1.0) as made:
         yield made
 
 
 @contextlib.contextmanager
-def viewed(folder: Path, size: tuple[int, int] = (1150, 760), hidden: Sequence[str] = ()) -> Iterator[Session]:
-    """A project, settled, in a browser; what is hidden is never drawn."""
+def viewed(
+    folder: Path, size: tuple[int, int] = (1150, 760), hidden: Sequence[str] = (), dpr: float = COARSE
+) -> Iterator[Session]:
+    """A project, settled, in a browser; what is hidden is never drawn. dpr: pixels of the scene per pixel of the page."""
     require_chromium()
     with App(folder) as app:
         for name in hidden:
             app.emit(Show(name, False))
-        with viser_page(app.port, size=size) as v:
+        with viser_page(app.port, query=f"fixedDpr={dpr:g}", size=size) as v:
             settle(app, v)
             v.dismiss_notifications()
             yield app, v

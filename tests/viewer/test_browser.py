@@ -16,7 +16,7 @@ from solvers.orientation import Monoplotted
 from tests.browser import ViserPage
 from tests.viewer.sessions import HEAVY, Session, act, camera_path, demo_session, has_pose, settle, until
 from viewer_app import theme
-from viewer_app.actions import ChooseImage, ChoosePoint, ForgetSpots, Show, Step, SwitchPoint, UsePoints
+from viewer_app.actions import ChooseImage, ChoosePoint, ForgetSpots, Show, Step, UseOnly, UsePoints
 from viewer_app.app import App
 from viewer_app.figures import CORRELATION, ELEMENTS, FIGURES
 from viewer_app.looking import looked_through
@@ -242,8 +242,7 @@ def test_two_runs_are_stepped_on_one_slider(session: Session) -> None:
     path, kept = camera_path(app), app.state.exterior("perspective")
     v.set_checkbox("Keep this run beside", True)
     v.wait_nodes(path.replace("/camera", "/kept"))
-    for name in app.state.control()[:12]:
-        act(app, v, SwitchPoint(name))
+    act(app, v, UseOnly(app.state.control()[12:]))
     now = app.state.exterior("perspective")
     assert kept and now and np.linalg.norm(kept.centre - now.centre) > 1e-3
     shown = v.pose(path.replace("/camera", "/kept"))
@@ -309,6 +308,7 @@ def test_a_cluster_is_chosen_by_its_group(session: Session) -> None:
 def test_too_few_points_are_a_sentence(session: Session) -> None:
     app, v = session
     points = app.state.block.points
+    act(app, v, UseOnly(app.state.control()[:4]))
     for name in app.state.control()[2:]:
         v.page.locator(f"tr[data-point='{name}']").evaluate("e => e.click()")
         v.wait_until(lambda name=name: name in app.state.work.off, f"{name} to be off")
@@ -411,10 +411,12 @@ def test_the_photo_is_zoomed_to_800_percent_and_a_mark_set_to_a_tenth_of_a_pixel
     j = state.block.point_index(name)
     row = next(r for r in state.block.seen_in(state.image) if state.block.observations.point[r] == j)
     act(app, v, ChoosePoint(name))
+    received = v.log.bytes_received
     v.click_button("800 %")
     until(app, v, lambda: percent(app.state) > 799, "the zoom")
     v.page.locator("[data-percent]", has_text="800 %").wait_for()
     picture = v.page.get_by_role("img", name="Photo ")
+    assert 0 < v.log.bytes_received - received < 1_000_000  # the part that is seen, not the photo
     box, shown = v.box(picture), window(app.state)
     assert shown.width < box["width"] / 7
     target = state.block.observations.pixel[row] + [3.3, -2.4]

@@ -141,9 +141,7 @@ def test_a_button_drawn_anew_between_press_and_release_is_pressed_once(session: 
     app, v = session
     name, other = app.state.control()[2], app.state.control()[5]
     table(v)
-    button = v.page.locator(f"[data-focus='points/on/{name}']")
-    box = v.box(button)
-    v.page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    v.page.locator(f"[data-focus='points/on/{name}']").hover()  # waits until it lies still
     v.page.mouse.down()
     act(app, v, SwitchPoint(other))
     v.wait_until(lambda: v.page.locator(f"[data-focus='points/on/{other}']").inner_text() == "☐", "the table drawn anew")
