@@ -133,6 +133,14 @@ def test_a_gigabyte_is_refused_before_it_is_read(tmp_path: Path, kind: str) -> N
         registry.read(path, kind, OPTIONS)
 
 
+def test_a_gigabyte_of_anything_is_refused_by_its_size(tmp_path: Path) -> None:
+    for name in ("big.csv", "big.xml", "big.json", "big.bin"):
+        with open(tmp_path / name, "wb") as stream:
+            stream.truncate(2**30)
+        with pytest.raises(PhotogrammetryError, match=r"1024 MB and at most 256 MB are read"):
+            registry.read(tmp_path / name)
+
+
 def test_entities_are_refused(tmp_path: Path) -> None:
     head, tail = '<?xml version="1.0"?><!DOCTYPE d [', "]><document><chunk>&a;</chunk></document>"
     bomb = head + '<!ENTITY b "bbbbbbbbbb"><!ENTITY a "&b;&b;&b;&b;">' + tail

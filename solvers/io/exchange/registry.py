@@ -181,6 +181,7 @@ def _bounded(path: Path, name: str) -> None:
 
 def sniff(path: Path) -> str:
     """The name of a file's or folder's format. Raises BadTable when it is none that is known."""
+    _bounded(path, "exif" if path.suffix.lower() in EXTENSIONS else "")
     found = _folder(path) if path.is_dir() else _file(path)
     if found is None:
         raise BadTable(f"{path}: its format is not recognised; name it with --from, one of "
