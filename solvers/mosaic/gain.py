@@ -17,7 +17,9 @@ from .survey import Look, Survey
 from .tones import Tone, radial
 
 MOST = 400
-"""Places compared for each pair of photos."""
+"""Places compared for each pair of photos, at most, ..."""
+ALL = 300_000
+"""... and of all pairs, but never fewer than 20 of one."""
 _DARK, _LIGHT, _FULL = 12.0, 243.0, 245.0
 
 
@@ -36,23 +38,23 @@ def solve_tones(survey: Survey, count: int, cameras: tuple[int, ...]) -> Tones:
 
     Raises DegenerateGeometry when no two photos overlap.
     """
+    from scipy.sparse import coo_array, diags_array
+    from scipy.sparse.linalg import spsolve
+
     rows = _differences(survey)
     if not len(rows.difference):
         raise DegenerateGeometry("no two photos overlap: there is nothing to even out their brightness by; leave --gain out")
     kinds = max(cameras) + 1
     n, of = count + 3 * kinds, np.array(cameras)
     m = len(rows.difference)
-    a = np.zeros((m, n))
-    a[np.arange(m), rows.first] += 1
-    a[np.arange(m), rows.second] -= 1
-    for j in range(3):
-        a[np.arange(m), count + 3 * of[rows.first] + j] += rows.radial_first[:, j]
-        a[np.arange(m), count + 3 * of[rows.second] + j] -= rows.radial_second[:, j]
+    columns = [rows.first, rows.second, *(count + 3 * of[k] + j for k in (rows.first, rows.second) for j in range(3))]
+    values = [np.ones(m), -np.ones(m), *rows.radial_first.T, *-rows.radial_second.T]
+    a = coo_array((np.concatenate(values), (np.tile(np.arange(m), 8), np.concatenate(columns))), shape=(m, n)).tocsr()
     weight, x, v, scale = np.ones(m), np.zeros(n), np.zeros(m), 1.0
     prior = np.concatenate([np.full(count, 1e-3), np.full(3 * kinds, 1e-2 * m / max(count, 1) / 100)])
     for _ in range(8):
-        w = a * weight[:, None]
-        x = np.linalg.solve(a.T @ w + np.diag(prior), w.T @ rows.difference)
+        w = diags_array(weight) @ a
+        x = np.asarray(spsolve((a.T @ w + diags_array(prior)).tocsc(), w.T @ rows.difference))
         v = np.abs(rows.difference - a @ x)
         scale = max(1.4826 * float(np.median(v)), 1e-4)
         weight = np.minimum(1.0, 1.5 * scale / np.maximum(v, 1e-12))
@@ -92,20 +94,17 @@ class _Rows:
 def _differences(survey: Survey) -> _Rows:
     grey = {k.number: _smooth(k) for k in survey.looks}
     parts: list[tuple[np.ndarray, ...]] = []
-    for i, a in enumerate(survey.looks):
-        for b in survey.looks[i + 1:]:
-            both = overlap(a, b)
-            if both is None:
-                continue
-            in_a, in_b = both
-            ga, gb = grey[a.number][in_a], grey[b.number][in_b]
-            ok = np.isfinite(ga) & np.isfinite(gb) & (ga > _DARK) & (gb > _DARK) & (ga < _LIGHT) & (gb < _LIGHT)
-            at = np.flatnonzero(ok)
-            if len(at) < 20:
-                continue
-            at = at[np.linspace(0, len(at) - 1, min(MOST, len(at))).astype(int)]
-            parts.append((np.full(len(at), a.number), np.full(len(at), b.number), np.log(ga.ravel()[at] / gb.ravel()[at]),
-                          *(_radial(k, window, at) for k, window in ((a, in_a), (b, in_b)))))
+    pairs = [(a, b, both) for i, a in enumerate(survey.looks) for b in survey.looks[i + 1:] if (both := overlap(a, b))]
+    most = int(np.clip(ALL // max(len(pairs), 1), 20, MOST))
+    for a, b, (in_a, in_b) in pairs:
+        ga, gb = grey[a.number][in_a], grey[b.number][in_b]
+        ok = np.isfinite(ga) & np.isfinite(gb) & (ga > _DARK) & (gb > _DARK) & (ga < _LIGHT) & (gb < _LIGHT)
+        at = np.flatnonzero(ok)
+        if len(at) < 20:
+            continue
+        at = at[np.linspace(0, len(at) - 1, min(most, len(at))).astype(int)]
+        parts.append((np.full(len(at), a.number), np.full(len(at), b.number), np.log(ga.ravel()[at] / gb.ravel()[at]),
+                      *(_radial(k, window, at) for k, window in ((a, in_a), (b, in_b)))))
     if not parts:
         none = np.empty(0, int)
         return _Rows(none, none, np.empty(0), np.empty((0, 3)), np.empty((0, 3)))

@@ -27,8 +27,8 @@ Small = Callable[[str, int], np.ndarray]
 
 @dataclass(frozen=True)
 class Look:
-    """A photo on the coarse grid: window `tile`, colours (h, w, 3) uint8, `seen` (h, w), feather weight (h, w), and the way
-    to its full-resolution pixels."""
+    """A photo on the coarse grid: window `tile`, colours (h, w, 3) uint8, `seen` (h, w), feather weight (h, w), and
+    the way to its full-resolution pixels: u, v (m, n) float32 at every step-th cell."""
 
     number: int
     photo: Placed
@@ -36,17 +36,18 @@ class Look:
     colours: np.ndarray
     seen: np.ndarray
     edge: np.ndarray
-    lattice: Lattice
+    step: int
+    u: np.ndarray
+    v: np.ndarray
 
     def pixels(self) -> np.ndarray:
         """(h, w, 2) full-resolution photo pixels of the window's cells."""
-        shape, step = self.seen.shape, self.lattice.step
-        return np.stack([interpolated(np.nan_to_num(x), step, shape) for x in (self.lattice.u, self.lattice.v)], -1)
+        return np.stack([interpolated(np.nan_to_num(x), self.step, self.seen.shape) for x in (self.u, self.v)], -1)
 
     def pixels_of(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """(k, 2) of them: those of cells (k,) of the window."""
-        step, out = self.lattice.step, []
-        for x in (np.nan_to_num(self.lattice.u), np.nan_to_num(self.lattice.v)):
+        step, out = self.step, []
+        for x in (np.nan_to_num(self.u), np.nan_to_num(self.v)):
             i, j = np.minimum(rows // step, x.shape[0] - 2), np.minimum(columns // step, x.shape[1] - 2)
             a, b = rows / step - i, columns / step - j
             out.append((1 - a) * ((1 - b) * x[i, j] + b * x[i, j + 1]) + a * ((1 - b) * x[i + 1, j] + b * x[i + 1, j + 1]))
@@ -114,7 +115,8 @@ def _look(number: int, photo: Placed, grid: Grid, ground: Ground, outline: np.nd
     if not seen.any():
         return None
     edge = interpolated(feather(photo, lattice.u, lattice.v), lattice.step, seen.shape)
-    return Look(number, photo, tile, np.rint(acc[..., :3]).astype(np.uint8), seen, edge, lattice)
+    return Look(number, photo, tile, np.rint(acc[..., :3]).astype(np.uint8), seen, edge, lattice.step,
+                lattice.u.astype(np.float32), lattice.v.astype(np.float32))
 
 
 def bounds_of(grid: Grid, tile: Tile, ground: Ground, photos: Sequence[Placed]) -> tuple[float, float, float, float]:
