@@ -1,7 +1,9 @@
 """Tie points on rendered photos of one plane: places, tracks, what fails, resuming, processes."""
 
+import importlib.util
 from functools import partial
 from operator import getitem
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -164,6 +166,16 @@ def test_processes_give_the_same(photos: dict[str, np.ndarray]) -> None:
     two, options = {n: photos[n] for n in ("p0", "p1")}, TieOptions(count=300, window=0)
     names, read = [TiePhoto(n) for n in two], partial(getitem, two)
     same(tie_points(names, read, options, workers=2), tie_points(names, read, options))
+
+
+@pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="dask.distributed is not installed")
+def test_a_cluster_gives_the_same(photos: dict[str, np.ndarray]) -> None:
+    from distributed import LocalCluster
+
+    two, options = {n: photos[n] for n in ("p0", "p1")}, TieOptions(count=300, per_photo=100)
+    names, read, local = [TiePhoto(n) for n in two], partial(getitem, two), cast(Any, LocalCluster)
+    with local(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as cluster:
+        same(tie_points(names, read, options, scheduler=cluster.scheduler_address), tie_points(names, read, options))
 
 
 def test_execution_takes_items_as_needed_and_keeps_their_numbers() -> None:
