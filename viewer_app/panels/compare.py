@@ -83,7 +83,7 @@ def solutions_table(state: State) -> str:
         cells = [f"{name} <span {MUTED}>{unit}</span>"]
         for m in models:
             at, sigma = values[m] or (np.full(6, np.nan), None)
-            places = decimals(None if sigma is None else sigma[i], 5)
+            places = min(decimals(_final_sigma(state, m)[i], 5), 5 if sigma is not None else 2 if i < 3 else 3)
             error = "&nbsp;" if sigma is None else f"±{sigma[i]:.{places}f}"
             cells.append(f"{at[i]:.{places}f}<br><span {MUTED}>{error}</span>")
         rows.append(("", cells))
@@ -94,6 +94,13 @@ def solutions_table(state: State) -> str:
         rms.append(f"{np.sqrt((v**2).sum(axis=1).mean()):.2f}" if len(v) else "–")
     rows.append(("", (f"rms <span {MUTED}>px</span>", *rms)))
     return table(("", *(f"{swatch(COLOURS[m])}<br>{esc(m)}" for m in models)), rows, "Solutions compared", size=10)
+
+
+def _final_sigma(state: State, model: str) -> np.ndarray:
+    """(6,) standard errors at the last row [m, degrees]: they say how many places any row is worth."""
+    solution = state.solution(model)
+    sigma = solution.orientation.sigma if solution and solution.orientation else np.full(6, np.nan)
+    return np.concatenate([sigma[:3], np.degrees(sigma[3:])])
 
 
 def _head(model: str) -> str:
