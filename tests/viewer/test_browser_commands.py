@@ -16,7 +16,7 @@ import viser
 from PIL import Image
 
 from tests.browser import PATIENCE, ViserPage
-from tests.viewer.sessions import DEMO, HEAVY, Session, act, camera_path, demo_session, has_pose, settle, until
+from tests.viewer.sessions import COARSE, DEMO, HEAVY, Session, act, camera_path, demo_session, has_pose, settle, until
 from viewer_app.actions import Show, Step, SwitchPoint, Undo
 from viewer_app.app import App
 from viewer_app.bridge import controls
@@ -199,7 +199,7 @@ def another_page(v: ViserPage, port: int) -> Iterator[ViserPage]:
     try:
         page.set_viewport_size({"width": 900, "height": 600})
         page.set_default_timeout(1000 * PATIENCE)
-        page.goto(f"http://127.0.0.1:{port}/?fixedDpr=1")
+        page.goto(f"http://127.0.0.1:{port}/?fixedDpr={COARSE:g}")
         other = ViserPage(page, v.log)
         other.wait_connected()
         yield other
@@ -213,8 +213,10 @@ def test_a_restart_reconnects_and_restores_the_state(session: Session, tmp_path_
     shutil.copytree(DEMO, folder, ignore=shutil.ignore_patterns("runs"))
     first = App(folder)
     try:
+        for name in HEAVY:
+            first.emit(Show(name, False))
         with another_page(session[1], first.port) as v:
-            act(first, v, *(Show(name, False) for name in HEAVY))
+            settle(first, v)
             point = first.state.control()[1]
             act(first, v, SwitchPoint(point), Show("rays", False))
             act(first, v, Step("first"))
