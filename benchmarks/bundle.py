@@ -134,7 +134,7 @@ def run_ours(b: dict[str, Any], threads: int, free: tuple[str, ...], covariance:
     made, x = problem()
     watch = _watch(made, x) if traced else None
     t1, c1 = time.perf_counter(), time.process_time()
-    rows, spent = [], 0.0
+    rows, spent, last = [], 0.0, x
     for row in iterate(made, x, options):
         if watch is not None:
             before = time.process_time()
@@ -292,7 +292,8 @@ def run_scipy(b: dict[str, Any], threads: int) -> dict[str, Any]:
         rows.append((time.process_time() - c1, 0.5 * float(v @ v)))
         return v
 
-    done = least_squares(watched, x0, derivatives, method="trf", tr_solver="lsmr", x_scale="jac", ftol=1e-8, xtol=1e-15,
+    jacobian: Any = derivatives
+    done = least_squares(watched, x0, jacobian, method="trf", tr_solver="lsmr", x_scale="jac", ftol=1e-8, xtol=1e-15,
                          gtol=1e-15, max_nfev=60)
     rows = [(t, min(c for _, c in rows[:k + 1])) for k, (t, _) in enumerate(rows)]
     return {"build": t1 - t0, "solve": time.perf_counter() - t1, "cpu": time.process_time() - c1, "cost": float(done.cost),
