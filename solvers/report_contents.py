@@ -42,22 +42,26 @@ def _warnings(m: Material, source: Source) -> Section:
     mosaic = m.mosaic or {}
     said += [("mosaic", w) for w in mosaic.get("warnings", [])]
     said += [("mosaic", f"{i['name']} was not used: {i['why']}") for i in mosaic.get("images", []) if not i.get("used", True)]
-    parts = [Words(w, "warning") for w in _grouped(said)]
+    parts = [Words(w, "warning") for w in grouped(said)]
     return Section("Warnings", parts or [Words("No warning was raised by this run.")])
 
 
-def _grouped(said: Sequence[tuple[str, str]]) -> list[str]:
-    """Warnings that differ by their numbers only are told once, with all they concern."""
+def grouped(said: Sequence[tuple[str, str]]) -> list[str]:
+    """Warnings of several images or models that differ by their numbers only are told once, with all they concern; those of one
+    source are all told, up to a dozen."""
     groups: dict[str, list[tuple[str, str]]] = {}
     for who, text in said:
         groups.setdefault(re.sub(r"[-+]?\d[\d.e+-]*", "#", text), []).append((who, text))
     out = []
     for same in groups.values():
-        who, text = same[0]
-        others = list(dict.fromkeys(w for w, _ in same[1:] if w != who))
+        who = same[0][0]
+        texts = list(dict.fromkeys(t for w, t in same if w == who))
+        others = list(dict.fromkeys(w for w, _ in same if w != who))
         more = f" and {len(others) - 6} more" if len(others) > 6 else ""
         also = f" (alike for {', '.join(others[:6])}{more})" if others else ""
-        out.append(f"{who}: {text}{also}" if who else text)
+        left = f" ({len(texts) - 12} more like this)" if len(texts) > 12 else ""
+        texts = [f"{who}: {t}" if who else t for t in texts[:12]]
+        out += [*texts[:-1], texts[-1] + also + left]
     return out
 
 

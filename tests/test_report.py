@@ -216,3 +216,11 @@ def test_the_quality_of_a_mosaic_has_its_units():
     assert [str(c) for c in photos.rows[0]] == ["a", "yes", "5.20", "326.7", "177.1"]
     assert [str(c) for c in photos.rows[1]] == ["b", "no: no tie points", "–", "–", "–"]
     assert quality.right == (False, False) and photos.right == (False, False, True, True, True)
+
+
+def test_warnings_that_differ_by_a_number_are_all_told():
+    from solvers.report_contents import grouped
+
+    weak = [(f"{i}, perspective", f"weak by {n}") for n, i in enumerate("abc")]
+    assert grouped([("", "yaw of D1 is off"), ("", "yaw of D2 is off"), ("", "yaw of D1 is off"), *weak]) == [
+        "yaw of D1 is off", "yaw of D2 is off", "a, perspective: weak by 0 (alike for b, perspective, c, perspective)"]
