@@ -130,7 +130,14 @@ def _better(best: np.ndarray, rival: np.ndarray, gap: float) -> np.ndarray:
 
 def _adjust(template: Photo, target: Photo, at: np.ndarray, start: np.ndarray, matrices: np.ndarray, half: int,
             options: LsmOptions, workers: int) -> np.ndarray:
-    """(N, 16) rows of the compiled batch."""
+    """(N, 16) rows of the compiled batch.
+
+    The template is taken at the whole pixel next to the point and the rest of the way carried through the adjusted affine:
+    interpolated, a sharp photo's template is off by up to 0.05 px, the affine by a hundredth of the result's standard error.
+    """
+    whole = np.floor(at + 0.5)
+    rest = (at - whole)[:, :, None]
+    start = start - (matrices @ rest)[:, :, 0]
     match_batch = kernels("solvers.matching._kernels", "image matching").match_batch
     gains = smoothing(template.smooth)
     quantum = max(template.quantum, target.quantum)
@@ -139,10 +146,11 @@ def _adjust(template: Photo, target: Photo, at: np.ndarray, start: np.ndarray, m
     out = np.empty((len(at), 16))
 
     def kernel(part: slice) -> None:
-        match_batch(template.coefficients, target.coefficients, at[part], start[part], matrices[part], half, gains.taps,
+        match_batch(template.coefficients, target.coefficients, whole[part], start[part], matrices[part], half, gains.taps,
                     gains.extra, noise, tuple(float(v) for v in limits), out[part])
 
     batch.spread(kernel, len(at), workers)
+    out[:, :2] += (out[:, 2:6].reshape(-1, 2, 2) @ rest)[:, :, 0]
     return out
 
 

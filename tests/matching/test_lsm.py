@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import fourier_shift, gaussian_filter
 
 from solvers.errors import Unsupported
 from solvers.matching import LsmOptions, Status, match_lsm, match_ncc, prepare
@@ -217,8 +217,28 @@ def test_import_leaves_the_compiler_alone():
 
 def test_a_window_of_nearly_only_noise_is_uncertain_and_no_sigma_is_made_of_it():
     """A place of two demo photos where the noise of the slopes is nearly all there is: its covariance is not positive."""
-    left, right = (np.asarray(Image.open(DEMO / f"DSC0023{n}.jpg").convert("L")) for n in (0, 2))
-    with np.errstate(invalid="raise", divide="raise"):
-        r = match_lsm(left, right, np.array([[166.1966, 311.6457]]), np.array([[80.2892, 284.4698]]),
-                      shape=np.array([[[0.96968, 0.06174], [-0.04922, 0.9944]]]))
-    assert r.status[0] == Status.UNCERTAIN and np.isnan(r.sigma).all()
+    from solvers.matching._kernels import match_batch
+    from solvers.matching.patches import smoothing
+
+    left, right = (prepare(np.asarray(Image.open(DEMO / f"DSC0023{n}.jpg").convert("L"))) for n in (0, 2))
+    gains, row, o = smoothing(left.smooth), np.empty((1, 16)), LsmOptions()
+    noise = (gains.value, gains.slope, gains.laplacian, gains.extra_value, gains.spread, 1 / 12)
+    match_batch(left.coefficients, right.coefficients, np.array([[166.1966, 311.6457]]), np.array([[80.2892, 284.4698]]),
+                np.array([[[0.96968, 0.06174], [-0.04922, 0.9944]]]), 10, gains.taps, gains.extra, noise,
+                (float(o.max_iterations), o.step, o.max_sigma, o.min_score, o.max_move), row)
+    assert row[0, 15] == Status.UNCERTAIN
+
+
+def test_points_between_the_pixels_are_matched_as_well_as_those_on_them():
+    """Photos as sharp as pixels allow: a template between the pixels would be off by more than the noise moves it."""
+    rng = np.random.default_rng(5)
+    photo = 128 + 60 * gaussian_filter(rng.normal(0, 1, (360, 480)), 0.6)
+    moved = np.fft.ifft2(fourier_shift(np.fft.fft2(photo), (0.3, -0.4))).real
+    at = rng.uniform(30, [450, 330], (600, 2))
+    left, right = (p + rng.normal(0, 2, p.shape) for p in (photo, moved))
+    rms = []
+    for points in (at, np.round(at)):
+        r = match_lsm(left, right, points, points + rng.uniform(-0.5, 0.5, at.shape))
+        assert r.ok.all()
+        rms.append(np.sqrt(((r.pixel - (points + [-0.4, 0.3])) ** 2).mean()))
+    assert rms[0] < 1.1 * rms[1]
