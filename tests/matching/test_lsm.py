@@ -240,5 +240,5 @@ def test_points_between_the_pixels_are_matched_as_well_as_those_on_them():
     for points in (at, np.round(at)):
         r = match_lsm(left, right, points, points + rng.uniform(-0.5, 0.5, at.shape))
         assert r.ok.all()
-        rms.append(np.sqrt(((r.pixel - (points + [-0.4, 0.3])) ** 2).mean()))
+        rms.append(np.sqrt(((r.pixel - (points + np.array([-0.4, 0.3]))) ** 2).mean()))
     assert rms[0] < 1.1 * rms[1]
