@@ -34,11 +34,11 @@ window.collinea = (() => {
   };
   // what is typed, the focus and scroll positions outlive the HTML being drawn anew
   const scrolled = {}, typing = {};
-  let focus = null, left = 0;  // left: when somebody last went elsewhere; a box taken off the page speaks up too
-  const leaving = () => performance.now() - left < 300;
-  const change = ev => { if (leaving()) commit(ev); };
-  const commit = ev => {
-    const e = ev.currentTarget;
+  let focus = null, left = 0;  // left: when somebody last went elsewhere
+  // a box taken off the page speaks up as one that was left does; only the latter is still there once the page is done
+  const ifLeft = (e, then) => queueMicrotask(() => { if (e?.isConnected) then(e); });
+  const change = ev => ifLeft(ev.currentTarget, commit);
+  const commit = e => {
     if (e.value === e.defaultValue) return;
     delete typing[e.dataset.focus];
     e.defaultValue = e.value;
@@ -47,7 +47,7 @@ window.collinea = (() => {
   const typed = ev => {
     const e = ev.currentTarget;
     ev.stopPropagation();
-    if (ev.key === 'Enter') commit(ev);
+    if (ev.key === 'Enter') commit(e);
     else if (ev.key === 'Escape') { e.value = e.defaultValue; delete typing[e.dataset.focus]; }
     else arrows(ev);
   };
@@ -64,7 +64,7 @@ window.collinea = (() => {
   document.addEventListener('input', ev => {
     if (ev.target?.dataset?.focus) typing[ev.target.dataset.focus] = ev.target.value;
   }, true);
-  document.addEventListener('focusout', ev => { if (leaving()) delete typing[ev.target?.dataset?.focus]; }, true);
+  document.addEventListener('focusout', ev => ifLeft(ev.target, e => { delete typing[e.dataset?.focus]; }), true);
   new MutationObserver(records => {
     if (!records.some(r => r.addedNodes.length)) return;
     for (const e of document.querySelectorAll('[data-keep]')) {

@@ -115,14 +115,30 @@ def test_typing_outlives_the_table_being_drawn_anew(session: Session) -> None:
     app, v = session
     name = app.state.control()[1]
     box = table(v).locator(f"input[data-focus='points/Y/{name}']")
+    box.click()
     box.fill("123.")
     other = app.state.control()[4]
-    act(app, v, SwitchPoint(other))
+    act(app, v, SwitchPoint(other))  # at once: a hand that clicked and typed is no hand that leaves
     v.wait_until(lambda: v.page.locator(f"[data-focus='points/on/{other}']").inner_text() == "☐", "the table drawn anew")
     v.wait_until(lambda: box.input_value() == "123." and focused(v) == f"points/Y/{name}", "what was being typed")
     box.press("Escape")
     v.wait_until(lambda: box.input_value() != "123.", "the old value")
     assert app.state.block.points.xyz[app.state.block.point_index(name), 1] != 123.0
+
+
+@pytest.mark.parametrize("leave", ["by Tab", "by a click elsewhere"])
+def test_what_was_typed_is_taken_when_the_box_is_left(session: Session, leave: str) -> None:
+    app, v = session
+    name = app.state.control()[1]
+    j = app.state.block.point_index(name)
+    box = table(v).locator(f"input[data-focus='points/sY/{name}']")
+    box.click()
+    box.fill("0.25")
+    if leave == "by Tab":
+        box.press("Tab")
+    else:
+        v.page.get_by_role("tab", name="Points", exact=True).click()
+    until(app, v, lambda: app.state.block.points.sigma[j, 1] == 0.25, "the standard error")
 
 
 def test_the_place_scrolled_to_stays(session: Session) -> None:
