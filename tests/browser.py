@@ -41,6 +41,12 @@ FLAGS = (
     # a page that needs the internet shows itself
     "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1, EXCLUDE localhost",
 )
+BLIND = (
+    "for (const name of ['drawArrays', 'drawElements', 'drawArraysInstanced', 'drawElementsInstanced', 'drawRangeElements'])"
+    " WebGL2RenderingContext.prototype[name] = () => {};"
+)
+"""Gives a page a scene that is built, lit, picked and counted frame by frame, but whose pixels are not drawn."""
+BLIND_FLAGS = ("--disable-gpu-compositing",)
 PATIENCE = 60.0
 """How long a wait may take before it is given up, seconds: far more than it takes, for a machine may be busy."""
 LOCAL = re.compile(r"^(data:|blob:|about:|file:|(https?|wss?)://(127\.0\.0\.1|localhost)[:/])")
@@ -101,14 +107,21 @@ class Log:
 
 
 @contextlib.contextmanager
-def chromium_page(url: str, *, size: tuple[int, int] = (1280, 800), flags: tuple[str, ...] = ()) -> Iterator[tuple[Page, Log]]:
-    """A page in a fresh, empty profile, `size` in CSS pixels; everything is closed at the end."""
-    program = require_chromium()
+def chromium_page(url: str, *, size: tuple[int, int] = (1280, 800), drawn: bool = True) -> Iterator[tuple[Page, Log]]:
+    """A page in a fresh, empty profile, `size` in CSS pixels; everything is closed at the end.
+
+    drawn: whether the pixels of a scene are drawn too. Without a graphics card they cost most of the time; a test that looks at
+    no pixel of the scene does without.
+    """
+    program, flags = require_chromium(), FLAGS if drawn else (*FLAGS, *BLIND_FLAGS)
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=program, headless=True, args=[*FLAGS, *flags])
+        browser = playwright.chromium.launch(executable_path=program, headless=True, args=list(flags))
         try:
-            page = browser.new_context(viewport={"width": size[0], "height": size[1]}, device_scale_factor=1,
-                                       accept_downloads=True, reduced_motion="reduce").new_page()
+            context = browser.new_context(viewport={"width": size[0], "height": size[1]}, device_scale_factor=1,
+                                          accept_downloads=True, reduced_motion="reduce")
+            if not drawn:
+                context.add_init_script(BLIND)
+            page = context.new_page()
             page.set_default_timeout(1000 * PATIENCE)
             log = Log()
             log.listen(page)
@@ -119,9 +132,11 @@ def chromium_page(url: str, *, size: tuple[int, int] = (1280, 800), flags: tuple
 
 
 @contextlib.contextmanager
-def viser_page(port: int, *, query: str = "fixedDpr=1", size: tuple[int, int] = (1280, 800)) -> Iterator[ViserPage]:
+def viser_page(
+    port: int, *, query: str = "fixedDpr=1", size: tuple[int, int] = (1280, 800), drawn: bool = True
+) -> Iterator[ViserPage]:
     """viser's page, connected. fixedDpr=1 turns off the adaptive resolution, which drops on a slow renderer."""
-    with chromium_page(f"http://127.0.0.1:{port}/?{query}", size=size) as (page, log):
+    with chromium_page(f"http://127.0.0.1:{port}/?{query}", size=size, drawn=drawn) as (page, log):
         viser = ViserPage(page, log)
         viser.wait_connected()
         yield viser

@@ -19,30 +19,32 @@ from viewer_app.paint_viser import frustum_pose
 DEMO = Path(__file__).resolve().parents[2] / "assets" / "demo"
 HEAVY = ("terrain", "labels", "photos", "ellipsoids")
 """What costs a renderer without a GPU most."""
+POINTS_ONLY = (*HEAVY, "rays", "bundle", "residuals", "perspective", "orthogonal", "truth", "initial", "georeferenced", "printed")
+"""What is hidden where the points alone are looked at."""
 COARSE = 0.5
-"""Pixels of the scene per pixel of the page, where nobody looks at them: a renderer without a GPU is quicker so."""
+"""Pixels of the scene per pixel of the page where none is drawn."""
 Session = tuple[App, ViserPage]
 COUNT = count(1)
 
 
 @contextlib.contextmanager
-def demo_session(folder: Path, size: tuple[int, int] = (1150, 680), light: bool = True) -> Iterator[Session]:
-    """The demo, settled, in a browser; light: without what costs a renderer most."""
+def demo_session(folder: Path, size: tuple[int, int] = (1150, 680), drawn: bool = False) -> Iterator[Session]:
+    """The demo, settled, in a browser."""
     shutil.copytree(DEMO, folder, ignore=shutil.ignore_patterns("runs"))
-    with viewed(folder, size, HEAVY if light else (), COARSE if light else 1.0) as made:
+    with viewed(folder, size, () if drawn else HEAVY, drawn) as made:
         yield made
 
 
 @contextlib.contextmanager
 def viewed(
-    folder: Path, size: tuple[int, int] = (1150, 760), hidden: Sequence[str] = (), dpr: float = COARSE
+    folder: Path, size: tuple[int, int] = (1150, 760), hidden: Sequence[str] = (), drawn: bool = False
 ) -> Iterator[Session]:
-    """A project, settled, in a browser; what is hidden is never drawn. dpr: pixels of the scene per pixel of the page."""
+    """A project, settled, in a browser; what is hidden is in no scene. drawn: for tests that look at the pixels of the scene."""
     require_chromium()
     with App(folder) as app:
         for name in hidden:
             app.emit(Show(name, False))
-        with viser_page(app.port, query=f"fixedDpr={dpr:g}", size=size) as v:
+        with viser_page(app.port, query=f"fixedDpr={1 if drawn else COARSE:g}", size=size, drawn=drawn) as v:
             settle(app, v)
             v.dismiss_notifications()
             yield app, v
@@ -86,3 +88,44 @@ def has_pose(app: App, v: ViserPage, path: str) -> bool:
         return False
     wxyz, position = frustum_pose(exterior)
     return bool(np.allclose(shown["position"], position, atol=1e-3) and abs(abs(np.dot(shown["wxyz"], wxyz)) - 1) < 1e-6)
+
+
+def camera_arrived(app: App, v: ViserPage) -> bool:
+    """Whether the server knows where the browser's camera is now."""
+    here, canvas = v.page.evaluate(
+        """() => { const m = window.__viserMutable, p = m.camera.position.clone();
+            p.applyMatrix4(m.nodeRefFromName[''].matrixWorld.clone().invert());
+            return [[p.x, p.y, p.z], [m.canvas.width, m.canvas.height]]; }""")
+    camera = next(iter(app.server.get_clients().values())).camera
+    same_size = np.allclose([camera.image_width, camera.image_height], canvas, atol=1.5)
+    return bool(np.allclose(here, camera.position, atol=1e-3 * max(1.0, np.abs(here).max())) and same_size)
+
+
+def expected_pixels(app: App, v: ViserPage) -> np.ndarray:
+    """(n, 2) canvas pixels of the control points by our own projection, from the camera the browser reports."""
+    v.wait_until(lambda: camera_arrived(app, v), "the browser's camera")
+    camera = next(iter(app.server.get_clients().values())).camera
+    w, x, y, z = camera.wxyz
+    axes = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    points = app.state.block.points
+    xyz = app.state.assets.frame.to_local(points.xyz[np.array(points.role) == "control"])
+    seen = (xyz - camera.position) @ axes  # x right, y down, z forward
+    focal = camera.image_height / 2 / np.tan(camera.fov / 2)
+    return seen[:, :2] / seen[:, 2:] * focal + np.array([camera.image_width, camera.image_height]) / 2
+
+
+def downloaded(v: ViserPage, button: str, name: str) -> bytes:
+    v.open_tab("Export")
+    v.click_button(button)
+    link = v.page.locator(f"a[download$='.{name}']")
+    link.wait_for(timeout=120_000)
+    with v.page.expect_download() as download:
+        link.click()
+    v.dismiss_notifications()
+    return Path(download.value.path()).read_bytes()

@@ -13,10 +13,21 @@ from typing import Any
 
 import pytest
 import viser
-from PIL import Image
 
 from tests.browser import PATIENCE, ViserPage
-from tests.viewer.sessions import COARSE, DEMO, HEAVY, Session, act, camera_path, demo_session, has_pose, settle, until
+from tests.viewer.sessions import (
+    COARSE,
+    DEMO,
+    HEAVY,
+    Session,
+    act,
+    camera_path,
+    demo_session,
+    downloaded,
+    has_pose,
+    settle,
+    until,
+)
 from viewer_app.actions import Show, Step, SwitchPoint, Undo
 from viewer_app.app import App
 from viewer_app.bridge import controls
@@ -167,23 +178,6 @@ def test_leaving_and_coming_back_loses_nothing(session: Session) -> None:
     v.hotkey("Control+z")
     v.wait_until(lambda: name not in app.state.work.off, "undo")
     act(app, v, Step("last"))
-
-
-def downloaded(v: ViserPage, button: str, name: str) -> bytes:
-    v.open_tab("Export")
-    v.click_button(button)
-    link = v.page.locator(f"a[download$='.{name}']")
-    link.wait_for(timeout=120_000)
-    with v.page.expect_download() as download:
-        link.click()
-    v.dismiss_notifications()
-    return Path(download.value.path()).read_bytes()
-
-
-def test_the_scene_is_a_picture_in_4k(session: Session) -> None:
-    _, v = session
-    with Image.open(io.BytesIO(downloaded(v, "Picture as PNG", "png"))) as picture:
-        assert picture.size == (3840, 2160) and len(picture.convert("RGB").resize((96, 54)).getcolors(10_000) or ()) > 20
 
 
 def test_tables_and_project_are_handed_over(session: Session) -> None:

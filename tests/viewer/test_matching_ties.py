@@ -30,7 +30,7 @@ def flight(folder: Path) -> Path:
 
 def test_tie_points_are_found_placed_coloured_and_looked_at(tmp_path: Path) -> None:
     require_chromium()
-    with App(flight(tmp_path / "p")) as app, viser_page(app.port, size=(1150, 760)) as v:
+    with App(flight(tmp_path / "p")) as app, viser_page(app.port, size=(1150, 760), drawn=False) as v:
         v.page.set_default_timeout(60_000)
         v.wait_until(app.settled, "the viewer to settle", 100)
         v.dismiss_notifications()

@@ -1,0 +1,108 @@
+"""The pixels of the scene in a real browser: everything stands where projection says, in the colours of the legend, at 4K too."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.browser import ViserPage
+from tests.viewer.sessions import HEAVY, POINTS_ONLY, Session, act, camera_path, demo_session, downloaded, expected_pixels, settle
+from viewer_app import theme
+from viewer_app.actions import Show
+from viewer_app.app import App
+from viewer_app.scene import scene
+from viewer_app.values import Segments
+
+pytestmark = [pytest.mark.browser, pytest.mark.timeout(400)]
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
+    with demo_session(tmp_path_factory.mktemp("scene") / "demo", drawn=True) as made:
+        yield made
+
+
+@pytest.fixture(autouse=True)
+def nothing_goes_wrong(session: Session) -> Iterator[None]:
+    yield
+    app, v = session
+    settle(app, v)
+    assert v.log.errors == [] and v.log.external == []
+
+
+def test_the_demo_opens(session: Session) -> None:
+    app, v = session
+    state = app.state
+    v.wait_nodes(
+        "/ground/terrain",
+        "/points/control",
+        "/images/" + state.image + "/orthogonal/plane",
+        *(camera_path(app, m, i.name) for m in ("perspective", "orthogonal") for i in state.block.images),
+    )
+    v.page.get_by_role("table", name="Orientation").wait_for()
+    assert v.page.get_by_text(f"{len(state.control())} control points on").is_visible()
+    assert all(s.orientation is None or s.orientation.trace.converged for s in state.work.solutions.values())
+    act(app, v, *(Show(name, False) for name in HEAVY))  # seen once; what follows needs no beauty
+
+
+def measured_points(app: App, v: ViserPage) -> tuple[np.ndarray, np.ndarray]:
+    """Distances (k,) px from where points should be to where their symbols are drawn, and their largest error of colour (k,)."""
+    expected = expected_pixels(app, v)
+    picture = np.asarray(v.wait_still(tolerance=0.05, timeout=120), float)
+    apart = np.linalg.norm(expected[:, None] - expected[None], axis=-1) + np.diag(np.full(len(expected), np.inf))
+    rows, cols = np.mgrid[: picture.shape[0], : picture.shape[1]]
+    distances, colours = [], []
+    for (x, y), nearest in zip(expected, apart.min(axis=1), strict=True):
+        around = np.hypot(cols + 0.5 - x, rows + 0.5 - y) < min(nearest / 2, 18)
+        error = np.abs(picture[..., :3] - np.array(theme.CONTROL)).max(axis=-1)
+        drawn = around & (picture[..., 3] > 250) & (error < 40)
+        if nearest < 12 or not around.any():
+            continue
+        distances.append(np.hypot(cols[drawn].mean() + 0.5 - x, rows[drawn].mean() + 0.5 - y) if drawn.sum() > 8 else np.inf)
+        colours.append(error[around & (picture[..., 3] > 250)].min(initial=np.inf))
+    return np.array(distances), np.array(colours)
+
+
+@pytest.fixture
+def points_only(session: Session) -> Iterator[Session]:
+    app, v = session
+    act(app, v, *(Show(name, False) for name in POINTS_ONLY))
+    yield app, v
+    act(app, v, *(Show(name, True) for name in POINTS_ONLY if name not in HEAVY))
+
+
+def test_points_appear_where_projection_says_and_in_their_colour(points_only: Session) -> None:
+    app, v = points_only
+    distances, colours = measured_points(app, v)
+    assert (
+        len(distances) >= 3
+        and np.linalg.matrix_rank(expected_pixels(app, v) - expected_pixels(app, v).mean(axis=0), tol=5.0) == 2
+    )
+    assert distances.max() < 3.0 and colours.max() <= 2.0
+
+
+def test_that_measurement_fails_when_the_y_axis_is_flipped(points_only: Session) -> None:
+    app, v = points_only
+    honest = scene(app.state)
+    symbols = honest["/points/control"]
+    assert isinstance(symbols, Segments)
+    flipped = replace(symbols, points=symbols.points * np.array([1.0, -1.0, 1.0]))
+    app._painter.paint({**honest, "/points/control": flipped})
+    settle(app, v)
+    try:
+        distances, _ = measured_points(app, v)
+        assert not (distances < 3.0).all() and np.median(distances) > 3.0
+    finally:
+        app._painter.paint(honest)
+        settle(app, v)
+
+
+def test_the_scene_is_a_picture_in_4k(session: Session) -> None:
+    _, v = session
+    with Image.open(io.BytesIO(downloaded(v, "Picture as PNG", "png"))) as picture:
+        assert picture.size == (3840, 2160) and len(picture.convert("RGB").resize((96, 54)).getcolors(10_000) or ()) > 20
