@@ -107,6 +107,8 @@ def read_photo(path: Path, grey: bool = True) -> np.ndarray:
     with opened(path) as photo:
         if photo.mode in ("1", "L", "P", "RGB", "RGBA", "YCbCr", "CMYK"):
             try:
+                if grey:
+                    photo.draft("L", photo.size)  # a JPEG is decoded to its brightness at once, a quarter of the memory
                 return np.asarray(photo.convert("L" if grey else "RGB"))
             except OSError as error:
                 raise Unsupported(f"{path}: the photo is damaged ({error}); copy it again") from None

@@ -13,7 +13,7 @@ from numba import njit
 F32 = np.float32
 ONE, TWO, THREE, FOUR = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
 ORIGIN = 96  # px, the local frame starts this far before the start pixel
-BENT = 1.0  # degrees of freedom that three second derivatives take from smoothed noise
+SHAPE = 0.05  # standard deviation of shaping parameters that are held, where nothing else tells it
 RIVALS = 5  # other peaks kept for each correlation
 FAST = {"contract", "reassoc", "arcp", "nsz"}  # NaN keeps its meaning: it marks pixels without data
 
@@ -354,6 +354,38 @@ def _choose(normal, variance, gain, half, keep, cofactor):
         keep[worst] = False
 
 
+@helper
+def _held(normal, cofactor, keep, variance, start, result):
+    """Add to the covariance what the shaping parameters that are held would move the point, were they off as the others were.
+
+    How far those have come from their start, in the template's axes and beyond their own noise, tells how well it was known.
+    """
+    det = start[0, 0] * start[1, 1] - start[0, 1] * start[1, 0]
+    i11, i12, i21, i22 = start[1, 1] / det, -start[0, 1] / det, -start[1, 0] / det, start[0, 0] / det
+    a11, a12, a21, a22 = result[2], result[3], result[4], result[5]
+    moved = (i11 * a11 + i12 * a21 - 1, i11 * a12 + i12 * a22, i21 * a11 + i22 * a21, i21 * a12 + i22 * a22 - 1)
+    total, count = SHAPE * SHAPE, 1
+    for k in range(4):
+        p = k + 1 + k // 2
+        if keep[p]:
+            total += max(moved[k] * moved[k] - variance * cofactor[p, p], 0.0)
+            count += 1
+    if count == 5:
+        return
+    for k in range(4):
+        p = k + 1 + k // 2
+        if not keep[p]:
+            x, y = 0.0, 0.0
+            for q in range(6):
+                if keep[q]:
+                    x += cofactor[0, q] * normal[q, p]
+                    y += cofactor[3, q] * normal[q, p]
+            dx, dy = a11 * x + a12 * y, a21 * x + a22 * y
+            result[9] += total / count * dx * dx
+            result[10] += total / count * dx * dy
+            result[11] += total / count * dy * dy
+
+
 @njit(cache=True, fastmath=FAST, error_model="numpy", nogil=True)
 def match_batch(template, target, at, start, shape, half, taps, extra, noise, limits, out):
     """Inverse compositional least squares matching of many points.
@@ -482,7 +514,13 @@ def match_batch(template, target, at, start, shape, half, taps, extra, noise, li
             kept = _count(keep)
             inner = (side - 2) * (side - 2)
             _without_blur(other, value, side, bend)
-            freedom = inner * rough_energy - kept * gain * gain - 2 - BENT
+            passed = _rough_energy(slope_x, side, extra, wide) * inner / _dot(slope_x, slope_x)
+            freedom = inner * rough_energy - kept * gain * passed - 2.0 * inner / n
+            for p in range(3):
+                own = _dot(bend[p], bend[p])
+                if own > 0:
+                    blurred = _rough_energy(bend[p], side, extra, wide) * inner / own
+                    freedom -= blurred * blurred * n / inner
             variance = _rough_energy(other, side, extra, wide) * inner / max(freedom, 1.0)
             result[12] = math.sqrt(variance)
             variance = max(variance, 2 * floor_variance)
@@ -521,11 +559,14 @@ def match_batch(template, target, at, start, shape, half, taps, extra, noise, li
             q_xx -= own * inverse[0, p] * inverse[0, p]
             q_xy -= own * inverse[0, p] * inverse[3, p]
             q_yy -= own * inverse[3, p] * inverse[3, p]
-        # Seen through a smaller image noise is coarser: the target's share grows with the template's area over its own.
-        variance *= (1 + ratio * ratio / abs(a11 * a22 - a12 * a21)) / (1 + ratio * ratio)
+        # Seen through a smaller image noise is coarser: the target's share grows with the template's area over its own. Half of
+        # that (by its logarithm, at the usual presmoothing) is in the filtered residuals already.
+        area = abs(a11 * a22 - a12 * a21)
+        variance *= (1 + ratio * ratio / area) / (1 + ratio * ratio / math.sqrt(area))
         result[9] = variance * (a11 * a11 * q_xx + 2 * a11 * a12 * q_xy + a12 * a12 * q_yy)
         result[10] = variance * (a11 * a21 * q_xx + (a11 * a22 + a12 * a21) * q_xy + a12 * a22 * q_yy)
         result[11] = variance * (a21 * a21 * q_xx + 2 * a21 * a22 * q_xy + a22 * a22 * q_yy)
+        _held(clean, inverse, keep, variance, shape[index], result)
         middle, gap = 0.5 * (result[9] + result[11]), math.hypot(0.5 * (result[9] - result[11]), result[10])
         # Where noise has nearly the slope of the texture, what is taken off for it leaves no covariance at all.
         result[15] = OK if middle - gap > 0 and middle + gap < limits[2] * limits[2] else UNCERTAIN
@@ -579,22 +620,34 @@ def _correlate(template, patch, side, span, out):
 
 
 @helper
-def _normalize(patch, side, span, norm, out):
-    """Divide by the norms of template and window, from running sums; NaN where the window is flat (undefined)."""
+def _lowered(patch, size):
+    """Take the grey value in the middle off the patch: what is left of a mean in single precision must not pass for texture."""
+    middle = patch[size // 2, size // 2]
+    for j in range(size):
+        for i in range(size):
+            patch[j, i] -= middle
+    return middle
+
+
+@helper
+def _normalize(patch, middle, side, span, norm, flat, out):
+    """Divide by the norms of template and window, from running sums; NaN where the window is flat (undefined).
+
+    middle: the grey value that was taken off the patch; flat: variance of a window that holds rounding only.
+    """
     size = side + span - 1
     n = side * side
     sums = np.zeros(size)
     squares = np.zeros(size)
-    middle = float(patch[size // 2, size // 2])
     for dy in range(span):
         for i in range(size):
             if dy == 0:
                 for j in range(side):
-                    v = patch[j, i] - middle
+                    v = float(patch[j, i])
                     sums[i] += v
                     squares[i] += v * v
             else:
-                new, old = patch[dy + side - 1, i] - middle, patch[dy - 1, i] - middle
+                new, old = float(patch[dy + side - 1, i]), float(patch[dy - 1, i])
                 sums[i] += new - old
                 squares[i] += new * new - old * old
         s, q = 0.0, 0.0
@@ -607,7 +660,7 @@ def _normalize(patch, side, span, norm, out):
                 s += sums[dx + side - 1] - sums[dx - 1]
                 q += squares[dx + side - 1] - squares[dx - 1]
             spread = q - s * s / n
-            out[dy, dx] = out[dy, dx] / (norm * math.sqrt(spread)) if spread > 1e-7 * (q + n * middle * middle) else np.nan
+            out[dy, dx] = out[dy, dx] / (norm * math.sqrt(spread)) if spread > max(1e-7 * (q + n * middle * middle), n * flat) else np.nan
 
 
 @helper
@@ -668,10 +721,11 @@ def _rivals(scores, span, y, x, least, found):
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy", nogil=True)
-def correlate_batch(template, target, at, start, shape, half, search, threshold, fraction, gap, out):
+def correlate_batch(template, target, at, start, shape, half, search, threshold, fraction, gap, flat_variance, out):
     """Normalized cross-correlation of many warped templates around their starts.
 
-    Rivals are the other peaks above this fraction of the best, or within this gap of it in Fisher's z.
+    Rivals are the other peaks above this fraction of the best, or within this gap of it in Fisher's z. Windows of no more than
+    flat_variance have no texture: black and white parts of a photo hold the tails of what lies beside them, and nothing else.
     out (N, 6 + 3 RIVALS): col, row, score, status, number of rivals, then col, row, score of the best of them; the least
     curvature of the peak, per px^2.
     """
@@ -711,14 +765,19 @@ def correlate_batch(template, target, at, start, shape, half, search, threshold,
         for k in range(side * side):
             mean += values[k]
         mean /= side * side
+        rest = F32(0)
+        for k in range(side * side):
+            values[k] -= mean
+            rest += values[k]
+        rest /= side * side
         for j in range(side):
             for i in range(side):
-                weights[j, i] = values[j * side + i] - mean
+                weights[j, i] = values[j * side + i] - rest
                 square += weights[j, i] * weights[j, i]
         if not math.isfinite(square):
             result[3] = OUTSIDE
             continue
-        if square <= 1e-7 * side * side * mean * mean or square == 0:
+        if square <= side * side * max(1e-7 * mean * mean, flat_variance):
             result[3] = NO_TEXTURE
             continue
         left = math.floor(start[index, 0] + 0.5) - half - search
@@ -726,8 +785,9 @@ def correlate_batch(template, target, at, start, shape, half, search, threshold,
         if not _nodes(target, left, top, size, wide, patch):
             result[3] = LEFT
             continue
+        middle = _lowered(patch, size)
         _correlate(weights, patch, side, span, scores)
-        _normalize(patch, side, span, math.sqrt(square), scores)
+        _normalize(patch, middle, side, span, math.sqrt(square), flat_variance, scores)
         inside = False
         for j in range(span):
             for i in range(span):

@@ -55,7 +55,7 @@ def find_features(image: np.ndarray, kind: str = "sift", count: int = 4000, side
     """
     import cv2
 
-    grey = gray(image)
+    grey = image if image.dtype == np.uint8 and image.ndim == 2 else gray(image)  # a large photo is not copied into numbers
     rows, cols = grey.shape
     reduction = max(1.0, max(rows, cols) / side)
     small = grey

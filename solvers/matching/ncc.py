@@ -16,6 +16,15 @@ VAGUE = 0.25
 """px, standard deviation of a peak beyond which its place is not believed: noise then moves it by a pixel and more."""
 
 
+_FLAT = 4.0
+"""Times the variance of rounding, the least that is texture."""
+
+
+def flat_variance(template: Photo, target: Photo) -> float:
+    """Grey values squared: a window that varies by no more is flat, its correlation is not defined."""
+    return _FLAT * max(template.quantum, target.quantum) ** 2 / 12 * smoothing(target.smooth).value
+
+
 def peak_sigma(score: np.ndarray, curvature: np.ndarray, independent: float) -> np.ndarray:
     """(N,) px, standard deviation along the flattest direction of a correlation's peak, of its score, least curvature (1/px^2)
     and number of independent values: sqrt((1 - score^2) / (score curvature independent)); inf where the peak is flat.
@@ -54,12 +63,13 @@ def match_ncc(template_image: np.ndarray | Photo, target_image: np.ndarray | Pho
     target, origin = batch.cut(target_image, start, margin, smooth)
     compiled = kernels("solvers.matching._kernels", "image matching")
     peaks = compiled.RIVALS
+    flat = flat_variance(template, target)
     gap = 2 * np.sqrt(2 / (window**2 * smoothing(target.smooth).value))  # two sigmas of Fisher's z, independent values only
     out = np.full((len(at), 6 + 3 * peaks), np.nan)
 
     def kernel(part: slice) -> None:
         compiled.correlate_batch(template.coefficients, target.coefficients, at[part] - corner, start[part] - origin,
-                                 matrices[part], half, search, threshold, RIVAL, gap, out[part])
+                                 matrices[part], half, search, threshold, RIVAL, gap, flat, out[part])
 
     batch.spread(kernel, len(at), workers)
     status, score = out[:, 3].astype(int), out[:, 2]

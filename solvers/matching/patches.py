@@ -81,7 +81,7 @@ def smoothing(smooth: float) -> Smoothing:
     c = _prefilter(smooth)
     value = np.convolve(c, [1 / 6, 4 / 6, 1 / 6])
     slope = np.convolve(c, [0.5, 0, -0.5])
-    extra = np.array([0.125, 0.75, 0.125])
+    extra = np.array([0.2, 0.6, 0.2])
     reach = max(1, int(np.ceil(4 * smooth)))
     middle = len(value) // 2
     energy = float((value**2).sum())

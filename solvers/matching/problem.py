@@ -17,9 +17,10 @@ NAMES = ("a1", "a2", "a3", "b1", "b2", "b3", "r0", "r1")
 
 @dataclass(frozen=True)
 class LsmProblem:
-    """f(x0, y0) = r0 + (1 + r1) g(a1 + a2 x0 + a3 y0, b1 + b2 x0 + b3 y0), (x0, y0) px from the window's centre.
+    """f(x0, y0) = r0 + (1 + r1) g(a1 + a2 x0 + a3 y0, b1 + b2 x0 + b3 y0), (x0, y0) px from the point.
 
-    template (side, side) grey values f; target: the other photo. x is (8,), in the order of `NAMES`.
+    template (side, side) grey values f, around the whole pixel next to the point, which lies `rest` (2,) px further (col, row);
+    target: the other photo. x is (8,), in the order of `NAMES`.
     free: which of them are adjusted; the shaping ones count in the template's axes, so that with `base` (2, 2), the shape at the
     start, a change d of them makes base @ (I + d): what a window cannot determine does not depend on how it is turned.
     Reference: Gruen 1985, eq. 9 with the factors x0, y0 of its shaping columns.
@@ -29,6 +30,7 @@ class LsmProblem:
     target: Photo
     free: tuple[bool, ...] = (True,) * 8
     base: np.ndarray = field(default_factory=lambda: np.eye(2))
+    rest: np.ndarray = field(default_factory=lambda: np.zeros(2))
 
     @property
     def dof(self) -> int:
@@ -38,7 +40,7 @@ class LsmProblem:
         """x0, y0 (side, side) px."""
         half = self.template.shape[0] // 2
         y0, x0 = np.mgrid[-half : half + 1, -half : half + 1].astype(float)
-        return x0, y0
+        return x0 - self.rest[0], y0 - self.rest[1]
 
     def places(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """col, row (side, side) of the window's pixels in the target."""
@@ -82,14 +84,15 @@ def lsm_problem(template_image: np.ndarray | Photo, target_image: np.ndarray | P
 
     Raises DegenerateGeometry when the template window leaves its image.
     """
-    (col, row), (x, y) = batch.points(at, "at")[0], batch.points(start, "start")[0]
+    at, (x, y) = batch.points(at, "at")[0], batch.points(start, "start")[0]
     matrix, half = batch.shapes(shape, 1)[0], batch.half_window(window)
+    whole = np.floor(at + 0.5)
     v, u = np.mgrid[-half : half + 1, -half : half + 1].astype(float)
-    f = spline(prepare(template_image, smooth), col + u, row + v)[0]
+    f = spline(prepare(template_image, smooth), whole[0] + u, whole[1] + v)[0]
     if not np.isfinite(f).all():
-        raise DegenerateGeometry(f"the template window at {col:g}, {row:g} leaves the image or its data: choose another point")
+        raise DegenerateGeometry(f"the template window at {at[0]:g}, {at[1]:g} leaves the image or its data: choose another point")
     kept = (True,) * 8 if free is None else (*(bool(k) for k in free), True, True)
-    problem = LsmProblem(f, prepare(target_image, smooth), kept, matrix)
+    problem = LsmProblem(f, prepare(target_image, smooth), kept, matrix, at - whole)
     return problem, np.array([x, *matrix[0], y, *matrix[1], 0.0, 0.0])
 
 

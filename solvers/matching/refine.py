@@ -9,10 +9,12 @@ import numpy as np
 
 from ..errors import PhotogrammetryError
 from .lsm import LsmOptions, match_lsm
-from .patches import Photo, prepare
 
 _CORRELATION = 0.6
 """Least correlation of a place that is searched for."""
+_TILE = 2048
+"""px, side of the parts of a photo that are filtered at a time: a photo as splines is four to eight times as large as its file's
+pixels."""
 Reader = Callable[[str], np.ndarray]
 """read(name) -> grey (rows, cols) or colour (rows, cols, 3) values of a photo"""
 
@@ -59,35 +61,44 @@ def refine(reference: Reference, read: Reader, window: int, options: LsmOptions)
     score = [np.full(len(t.row), np.nan) for t in reference.targets]
     why: dict[str, str] = {}
     try:
-        template = _pyramid(read(reference.name), reference.levels, options.smooth)
+        template = _pyramid(read(reference.name), reference.levels)
     except (PhotogrammetryError, OSError) as error:
         return Refined(tuple(pixel), tuple(sigma), tuple(score), {reference.name: str(error)})
-    photo: list[Photo] = []
+    photo: list[np.ndarray] = []
     for n, target in enumerate(reference.targets):
         try:
             if n == 0 or reference.targets[n - 1].name != target.name:
-                photo = _pyramid(read(target.name), reference.levels, options.smooth)
+                photo = []  # the one before goes first
+                photo = _pyramid(read(target.name), reference.levels)
         except (PhotogrammetryError, OSError) as error:
             photo, why[target.name] = [], str(error)
         for level, a, b in zip(reference.levels, template, photo, strict=False):  # no photo, no levels
             rest = np.flatnonzero(np.isnan(score[n]) & _sound(target.shape))
-            found = match_lsm(a, b, _coarser(reference.at[target.row[rest]], level), _coarser(target.start[rest], level), window,
-                              search=-(-target.search // level), threshold=_CORRELATION, shape=target.shape[rest],
-                              options=replace(options, max_move=max(options.max_move / level, 2.0)))
-            good = rest[found.ok]
-            pixel[n][good] = (found.pixel[found.ok] + 0.5) * level - 0.5
-            sigma[n][good], score[n][good] = found.sigma[found.ok].max(1) * level, found.score[found.ok]
+            at, start = _coarser(reference.at[target.row[rest]], level), _coarser(target.start[rest], level)
+            for part in _tiles(at, start):
+                k = rest[part]
+                found = match_lsm(a, b, at[part], start[part], window, search=-(-target.search // level), threshold=_CORRELATION,
+                                  shape=target.shape[k], options=replace(options, max_move=max(options.max_move / level, 2.0)))
+                good = k[found.ok]
+                pixel[n][good] = (found.pixel[found.ok] + 0.5) * level - 0.5
+                sigma[n][good], score[n][good] = found.sigma[found.ok].max(1) * level, found.score[found.ok]
     return Refined(tuple(pixel), tuple(sigma), tuple(score), why)
 
 
-def _pyramid(image: np.ndarray, levels: tuple[int, ...], smooth: float) -> list[Photo]:
-    """The photo, 1, 2 .. times smaller, ready for matching."""
+def _pyramid(image: np.ndarray, levels: tuple[int, ...]) -> list[np.ndarray]:
+    """The photo, 1, 2 .. times smaller."""
     import cv2
 
     rows, cols = image.shape[:2]
-    smaller = (image if n == 1 else cv2.resize(image[: rows // n * n, : cols // n * n], (cols // n, rows // n),
-                                               interpolation=cv2.INTER_AREA) for n in levels)
-    return [prepare(picture, smooth) for picture in smaller]
+    return [image if n == 1 else cv2.resize(image[: rows // n * n, : cols // n * n], (cols // n, rows // n),
+                                            interpolation=cv2.INTER_AREA) for n in levels]
+
+
+def _tiles(at: np.ndarray, start: np.ndarray) -> list[np.ndarray]:
+    """Indices of points that lie in the same part of both photos, part by part."""
+    part = np.floor(np.hstack([at, start]) / _TILE).astype(int)
+    _, which = np.unique(part, axis=0, return_inverse=True)
+    return [np.flatnonzero(which == k) for k in range(which.max(initial=-1) + 1)]
 
 
 def _coarser(pixel: np.ndarray, level: int) -> np.ndarray:

@@ -11,7 +11,7 @@ from ..adjustment import Iteration, Options, iterate
 from ..errors import DegenerateGeometry
 from . import batch
 from .lsm import LsmOptions, match_lsm
-from .ncc import match_ncc
+from .ncc import flat_variance, match_ncc
 from .patches import SMOOTH, Photo, prepare
 from .problem import LsmProblem, lsm_problem, spline
 from .result import LsmResult, NccResult, Status
@@ -99,8 +99,10 @@ def correlations(template: Photo, target: Photo, at: np.ndarray, middle: np.ndar
     row, col = np.mgrid[-reach:reach + 1, -reach:reach + 1].astype(float)
     g = spline(target, middle[0] + col, middle[1] + row)[0]
     windows = np.lib.stride_tricks.sliding_window_view(g, (2 * half + 1, 2 * half + 1))
+    flat = flat_variance(template, target)
+    textured = windows.var((2, 3)) > np.maximum(1e-7 * windows.mean((2, 3)) ** 2, flat)
+    textured &= f.var() > max(1e-7 * f.mean() ** 2, flat)
     f, spread = f - f.mean(), windows.std((2, 3)) * f.std()
-    textured = windows.std((2, 3)) > 3e-4 * np.abs(windows).mean((2, 3))
     return np.einsum("ijab,ab->ij", windows, f) / np.where(textured & (spread > 0), spread * f.size, np.nan)
 
 

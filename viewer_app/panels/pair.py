@@ -198,7 +198,7 @@ def warped_svg(found: Found, row: int, unit: float) -> str:
         return ""
     x = stepped.rows[min(row, len(stepped.rows) - 1)].x
     half = stepped.problem.template.shape[0] / 2
-    corners = np.array([(-half, -half), (half, -half), (half, half), (-half, half)])
+    corners = np.array([(-half, -half), (half, -half), (half, half), (-half, half)]) - stepped.problem.rest
     place = found.full(x[[0, 3]] + corners @ np.array([[x[1], x[4]], [x[2], x[5]]])) + 0.5
     path = "M" + "L".join(f"{c:.2f} {r:.2f}" for c, r in place) + "Z"
     colour = "#ff0" if found.ok else css(theme.RESIDUAL)
