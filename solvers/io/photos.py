@@ -109,7 +109,8 @@ def read_photo(path: Path, grey: bool = True) -> np.ndarray:
             try:
                 if grey:
                     photo.draft("L", photo.size)  # a JPEG is decoded to its brightness at once, a quarter of the memory
-                return np.asarray(photo.convert("L" if grey else "RGB"))
+                mode = "L" if grey else "RGB"
+                return np.asarray(photo if photo.mode == mode else photo.convert(mode))
             except OSError as error:
                 raise Unsupported(f"{path}: the photo is damaged ({error}); copy it again") from None
         width, height = photo.size

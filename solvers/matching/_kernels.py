@@ -659,8 +659,8 @@ def _normalize(patch, middle, side, span, norm, flat, out):
             else:
                 s += sums[dx + side - 1] - sums[dx - 1]
                 q += squares[dx + side - 1] - squares[dx - 1]
-            spread = q - s * s / n
-            out[dy, dx] = out[dy, dx] / (norm * math.sqrt(spread)) if spread > max(1e-7 * (q + n * middle * middle), n * flat) else np.nan
+            spread, least = q - s * s / n, max(1e-7 * (q + n * middle * middle), n * flat)
+            out[dy, dx] = out[dy, dx] / (norm * math.sqrt(spread)) if spread > least else np.nan
 
 
 @helper

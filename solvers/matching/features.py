@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from .patches import gray
 NAMES = ("sift", "orb", "akaze", "brisk")
 """Features that can be asked for, as far as the installed OpenCV has them."""
 _FEW = 0.25  # of the features asked for: below it the contrast is equalised
+_PART, _RIM = 1300, 100  # px, side of the parts in which SIFT is searched, and what is seen around them
 _CELL = 16  # cells along the longer side when features are spread over the photo
 
 
@@ -62,21 +64,40 @@ def find_features(image: np.ndarray, kind: str = "sift", count: int = 4000, side
     if reduction > 1:
         small = cv2.resize(grey, (round(cols / reduction), round(rows / reduction)), interpolation=cv2.INTER_AREA)
     picture = _eight_bits(small, image.dtype)
-    keypoints, descriptors = (), None
+    table, descriptors = np.empty((0, 5)), np.empty((0, 128), np.uint8)
     if equalise is not True:
-        keypoints, descriptors = _detector(kind, 4 * count, weak=False).detectAndCompute(picture, None)
-    if equalise or (equalise is None and len(keypoints) < _FEW * count):
-        clear = cv2.createCLAHE(3.0, (8, 8)).apply(picture)
-        more = _detector(kind, 4 * count, weak=True).detectAndCompute(clear, None)
-        keypoints, descriptors = more if len(more[0]) > len(keypoints) else (keypoints, descriptors)
+        table, descriptors = _detected(picture, kind, 4 * count, weak=False)
+    if equalise or (equalise is None and len(table) < _FEW * count):
+        more = _detected(cv2.createCLAHE(3.0, (8, 8)).apply(picture), kind, 4 * count, weak=True)
+        table, descriptors = more if len(more[0]) > len(table) else (table, descriptors)
     ratio = np.array([cols / small.shape[1], rows / small.shape[0]])
-    if descriptors is None or not len(keypoints):
-        keypoints, descriptors = (), np.empty((0, 128), np.uint8)
-    table = np.array([(*k.pt, k.size, np.radians(k.angle), k.response) for k in keypoints]).reshape(-1, 5)
     kept = _spread(table[:, :2], table[:, 4], small.shape, count)
-    table, descriptors = table[kept], descriptors[kept].astype(np.uint8)
+    table, descriptors = table[kept], descriptors[kept]
     return Features((table[:, :2] + 0.5) * ratio - 0.5, table[:, 2] * reduction, table[:, 3], table[:, 4], descriptors,
                     (cols, rows), reduction, kind != "sift")
+
+
+def _detected(picture: np.ndarray, kind: str, count: int, weak: bool) -> tuple[np.ndarray, np.ndarray]:
+    """(N, 5) col, row, diameter, angle, response of about `count` features and their descriptors (N, d) uint8.
+
+    SIFT holds eleven pictures of four times the size and more: a large one is done part by part, each with a rim around it.
+    """
+    rows, cols = picture.shape
+    parts = [-(-n // _PART) if kind == "sift" else 1 for n in (rows, cols)]
+    detector = _detector(kind, count if max(parts) == 1 else 2 * count // (parts[0] * parts[1]), weak)
+    tables, descriptors = [], []
+    for top, bottom in pairwise(np.linspace(0, rows, parts[0] + 1).astype(int)):
+        for left, right in pairwise(np.linspace(0, cols, parts[1] + 1).astype(int)):
+            corner = np.array([max(left - _RIM, 0), max(top - _RIM, 0)])
+            part = np.ascontiguousarray(picture[corner[1] : bottom + _RIM, corner[0] : right + _RIM])
+            found, described = detector.detectAndCompute(part, None)
+            table = np.array([(*k.pt, k.size, np.radians(k.angle), k.response) for k in found]).reshape(-1, 5)
+            table[:, :2] += corner
+            own = ((table[:, :2] >= [left - 0.5, top - 0.5]) & (table[:, :2] < [right - 0.5, bottom - 0.5])).all(1)
+            if own.any():
+                tables.append(table[own])
+                descriptors.append(described[own].astype(np.uint8))
+    return (np.concatenate(tables), np.concatenate(descriptors)) if tables else (np.empty((0, 5)), np.empty((0, 128), np.uint8))
 
 
 def check_kind(kind: str) -> None:

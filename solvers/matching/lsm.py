@@ -15,6 +15,7 @@ from .result import LsmResult, NccResult, Status
 _SCORE, _ITERATIONS, _KEPT, _STATUS = 8, 13, 14, 15  # columns of the compiled batch
 _PEAK_MOVE = 4.0  # px, a correlation's peak is never farther from the place
 _MISLED = (Status.LOW_SCORE, Status.AT_BORDER, Status.DIVERGED, Status.NOT_CONVERGED)
+_AWAY = 2.0  # px, a correlation's peak is another place than the adjusted one beyond that
 _CLEAR = 3.0  # times its residual variance, that others leave, make a place unique although not all others are adjusted
 
 
@@ -83,11 +84,14 @@ def _from_peaks(template: Photo, target: Photo, at: np.ndarray, start: np.ndarra
     rivals = np.full((len(at), coarse.rival_score.shape[1], 16), np.nan)
     rivals[which, rank] = _adjust(template, target, at[which], coarse.rival[which, rank], matrices[which], half, options, workers)
     gap = options.min_gap ** max(1.0, 10.5 / (half + 0.5))  # the logarithm of a variance scatters as 1 / the window's side
+    rows = np.concatenate([best[:, None], rivals], axis=1)  # what was highest is a rival too of what is taken in its place
     for rival in np.moveaxis(rivals, 1, 0):
         best[:] = _better(best, rival, gap)
-    others = _least_loss(best, rivals)
-    away = np.linalg.norm(coarse.rival - best[:, None, :2], axis=2) > 1.0  # rivals as correlated, where adjusting lost them
-    others = np.fmin(others, np.fmin.reduce(np.where(away, 1 - coarse.rival_score**2, np.nan), axis=1))
+    others = _least_loss(best, rows)
+    places = np.concatenate([coarse.peak[:, None], coarse.rival], axis=1)
+    scores = np.concatenate([coarse.score[:, None], coarse.rival_score], axis=1)
+    away = np.linalg.norm(places - best[:, None, :2], axis=2) > _AWAY  # rivals as correlated, where adjusting lost them
+    others = np.fmin(others, np.fmin.reduce(np.where(away, 1 - scores**2, np.nan), axis=1))
     best[(best[:, _STATUS] == Status.OK) & (others < gap * _loss(best)), _STATUS] = Status.NOT_UNIQUE
     crowded = (coarse.count > coarse.rival_score.shape[1]) & (best[:, _STATUS] == Status.OK)
     best[crowded & ~(_CLEAR * _loss(best) < others), _STATUS] = Status.NOT_UNIQUE

@@ -90,7 +90,8 @@ def lsm_problem(template_image: np.ndarray | Photo, target_image: np.ndarray | P
     v, u = np.mgrid[-half : half + 1, -half : half + 1].astype(float)
     f = spline(prepare(template_image, smooth), whole[0] + u, whole[1] + v)[0]
     if not np.isfinite(f).all():
-        raise DegenerateGeometry(f"the template window at {at[0]:g}, {at[1]:g} leaves the image or its data: choose another point")
+        raise DegenerateGeometry(f"the template window at {at[0]:g}, {at[1]:g} leaves the image or its data: choose another "
+                                 "point")
     kept = (True,) * 8 if free is None else (*(bool(k) for k in free), True, True)
     problem = LsmProblem(f, prepare(target_image, smooth), kept, matrix, at - whole)
     return problem, np.array([x, *matrix[0], y, *matrix[1], 0.0, 0.0])

@@ -2,17 +2,14 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 from scipy.ndimage import fourier_shift, gaussian_filter
 
 from solvers.errors import Unsupported
 from solvers.matching import LsmOptions, Status, match_lsm, match_ncc, prepare
 
-DEMO = Path(__file__).parents[2] / "assets" / "demo" / "images"
 SHAPE = np.array([[1.03, 0.05], [-0.04, 0.98]])
 
 
@@ -159,7 +156,7 @@ def test_bricks_and_dots_are_refused_or_right(window: int):
         left, right = (np.round(scene + rng.normal(0, 2, scene.shape)) for _ in range(2))
         at = rng.integers(60, 200, (200, 2)).astype(float)
         r = match_lsm(left, right, at, at + rng.uniform(-8, 8, at.shape), window, search=12)
-        assert (r.ok & ~(np.linalg.norm(r.pixel - at, axis=1) < 1)).sum() <= 2  # 1 %; 0.1 % over many textures
+        assert (r.ok & ~(np.linalg.norm(r.pixel - at, axis=1) < 1)).sum() <= 1
 
 
 def test_a_misled_correlation_does_not_lose_what_adjusting_finds():
@@ -169,6 +166,32 @@ def test_a_misled_correlation_does_not_lose_what_adjusting_finds():
     plain, searched = (match_lsm(left, right, at[inside], truth[inside] + [0.4, -0.3], search=s) for s in (0, 10))
     for r in (plain, searched):
         assert r.ok.mean() > 0.99 and np.nanmax(np.linalg.norm(r.pixel - truth[inside], axis=1)) < 0.5
+
+
+def test_black_parts_beside_a_picture_have_no_correlation():
+    """They hold the tails of the spline of what lies beside them: a millionth of a grey value, and well correlated."""
+    rng = np.random.default_rng(16)
+    col = np.mgrid[0:200, 0:200][1].astype(float)
+    left, right = (np.clip(np.round(0.8 * (col - 100) + rng.normal(0, 2, col.shape)), 0, 255).astype(np.uint8) for _ in range(2))
+    at = rng.integers([60, 50], [85, 150], (200, 2)).astype(float)
+    for window in (11, 21):
+        r = match_ncc(left, right, at, at + rng.uniform(-8, 8, at.shape), window, search=10)
+        assert not r.ok.any() and np.nanmax(r.score, initial=0) <= 1 + 1e-6
+
+
+@pytest.mark.parametrize(("window", "sigma"), [(11, 1.2), (15, 2.5), (21, 1.6)])
+def test_the_noise_is_found_with_any_window_and_texture(window: int, sigma: float):
+    texture, rng = waves(3, sigma=sigma), np.random.default_rng(17)
+    shift = np.array([0.3, -0.4])
+    exact = [render(texture, np.eye(2), v) for v in (np.zeros(2), shift)]
+    g = np.arange(20.0, 240, window)
+    at = np.stack(np.meshgrid(g, g), -1).reshape(-1, 2)
+    variance = []
+    for _ in range(3):
+        left, right = (p + rng.normal(0, 2, p.shape) for p in exact)
+        r = match_lsm(left, right, at, at + shift + 0.2, window)
+        variance.append((r.noise[r.ok] ** 2).mean())
+    assert 0.9 < np.mean(variance) / 8 < 1.13  # of both photos
 
 
 def test_shaping_parameters_that_cannot_be_determined_are_dropped():
@@ -215,18 +238,19 @@ def test_import_leaves_the_compiler_alone():
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
 
 
-def test_a_window_of_nearly_only_noise_is_uncertain_and_no_sigma_is_made_of_it():
-    """A place of two demo photos where the noise of the slopes is nearly all there is: its covariance is not positive."""
-    from solvers.matching._kernels import match_batch
-    from solvers.matching.patches import smoothing
-
-    left, right = (prepare(np.asarray(Image.open(DEMO / f"DSC0023{n}.jpg").convert("L"))) for n in (0, 2))
-    gains, row, o = smoothing(left.smooth), np.empty((1, 16)), LsmOptions()
-    noise = (gains.value, gains.slope, gains.laplacian, gains.extra_value, gains.spread, 1 / 12)
-    match_batch(left.coefficients, right.coefficients, np.array([[166.1966, 311.6457]]), np.array([[80.2892, 284.4698]]),
-                np.array([[[0.96968, 0.06174], [-0.04922, 0.9944]]]), 10, gains.taps, gains.extra, noise,
-                (float(o.max_iterations), o.step, o.max_sigma, o.min_score, o.max_move), row)
-    assert row[0, 15] == Status.UNCERTAIN
+def test_of_windows_of_nearly_only_noise_no_sigma_is_made_that_is_none():
+    """Where noise has nearly the slope of the texture, what is taken off for it could leave no covariance at all."""
+    rng = np.random.default_rng(15)
+    at = np.stack(np.meshgrid(np.arange(20.0, 380, 9), np.arange(20.0, 380, 9)), -1).reshape(-1, 2)
+    refused, found = 0, 0
+    for strength in (0.8, 1.2, 2.0):
+        scene = gaussian_filter(rng.normal(0, 1, (400, 400)), 1.0)
+        left, right = (100 + strength * 2 * scene / scene.std() + rng.normal(0, 2, scene.shape) for _ in range(2))
+        r = match_lsm(left, right, at, at + 0.2, window=9)
+        refused, found = refused + (~r.ok).sum(), found + r.ok.sum()
+        assert (np.linalg.eigvalsh(r.covariance[r.ok]) > 0).all() and np.isfinite(r.sigma[r.ok]).all()
+        assert np.isnan(r.sigma[~r.ok]).all()
+    assert refused > 100 and found > 100
 
 
 def test_points_between_the_pixels_are_matched_as_well_as_those_on_them():
