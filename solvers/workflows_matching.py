@@ -169,7 +169,8 @@ class Tied(NamedTuple):
 def find_ties(source: Path | str, out: Path | str | None = None, options: TieOptions | None = None, *, workers: int = 1,
               scheduler: str | None = None, report: Callable[[Progress], object] | None = None) -> Tied:
     """Tie points of a project (written into its tables, in place of earlier ones found so) or of a folder of photos (written as
-    a table of observations: `out`, or tiepoints.csv in the folder).
+    a table of observations: `out`, or tiepoints.csv in the folder; what is done is kept in a folder beside it until all is, to go
+    on after an interruption).
 
     Raises PhotogrammetryError.
     """
@@ -183,8 +184,10 @@ def find_ties(source: Path | str, out: Path | str | None = None, options: TieOpt
     names = assemble.image_names(paths)
     photos = _photos_of_folder(paths, names)
     read = partial(read_by_name, paths=dict(zip(names, paths, strict=True)))
-    ties = tie_points(photos, read, options, workers=workers, scheduler=scheduler, report=report)
+    store = ArrayFolder(file.with_name(f"{file.stem}-kept"))
+    ties = tie_points(photos, read, options, workers=workers, scheduler=scheduler, store=store, report=report)
     _write_ties(file, ties, ties.observations.pixel)
+    store.clear()
     return Tied(ties, file)
 
 

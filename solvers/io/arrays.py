@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import zipfile
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,3 +31,11 @@ class ArrayFolder:
         """Keep arrays under a key; they appear whole or not at all."""
         self.folder.mkdir(parents=True, exist_ok=True)
         write_atomic(self.folder / f"{key}.npz", lambda stream: np.savez(stream, **arrays))  # type: ignore[arg-type]
+
+    def clear(self) -> None:
+        """Remove what is kept under keys of a word, a dash and 24 hexadecimal digits; the folder too when it is empty then."""
+        for file in self.folder.glob("*.npz"):
+            if re.fullmatch(r"[a-z]+-[0-9a-f]{24}", file.stem):
+                file.unlink(missing_ok=True)
+        with suppress(OSError):
+            self.folder.rmdir()

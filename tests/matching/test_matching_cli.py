@@ -12,8 +12,11 @@ import pytest
 from solvers.block import Block, Image, Observations, Points, Prior
 from solvers.cameras import Interior
 from solvers.cli import main
+from solvers.execution import Progress
 from solvers.io import read_project, write_image, write_project
+from solvers.matching import TieOptions
 from solvers.matching.verify import apply
+from solvers.workflows_matching import find_ties
 from tests.matching.test_ties import SIZE, photograph, plane_to_photo
 
 
@@ -79,6 +82,32 @@ def test_tiepoints_of_a_folder(folder: Path, tmp_path: Path, capsys: pytest.Capt
     broken = next(i for i in found["images"] if i["name"] == "broken")
     assert not broken["used"] and "broken.jpg" in broken["why"]
     assert found["groups"] == [["p0", "p1", "p2"], ["broken"]]
+    assert {f.name for f in tmp_path.iterdir()} == {"ties.csv"}
+
+
+def test_tiepoints_of_a_folder_go_on_where_they_were_interrupted(folder: Path, tmp_path: Path) -> None:
+    out, kept = tmp_path / "ties.csv", tmp_path / "ties-kept"
+    options = TieOptions(per_photo=200)
+
+    class Stopped(Exception):
+        pass
+
+    def stop(at: Progress) -> None:
+        if at.stage == "pairs":
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        find_ties(folder, out, options, report=stop)
+    done = {f.name: f.stat().st_mtime_ns for f in kept.iterdir()}
+    assert sorted(n.split("-")[0] for n in done) == ["features"] * 3 + ["pair"] and not out.exists()
+    (kept / "notes.npz").write_bytes(b"of somebody else")
+    seen: list[dict[str, int]] = []
+    first = find_ties(folder, out, options,
+                      report=lambda _: seen.append({f.name: f.stat().st_mtime_ns for f in kept.iterdir() if f.name in done}))
+    assert all(s == done for s in seen)
+    assert [f.name for f in kept.iterdir()] == ["notes.npz"]
+    assert len(first.ties.points) == len(find_ties(folder, tmp_path / "again.csv", options).ties.points)
+    assert (tmp_path / "again.csv").read_bytes() == out.read_bytes()
 
 
 def test_tiepoints_join_a_project_and_replace_earlier_ones(folder: Path, tmp_path: Path,
