@@ -44,7 +44,8 @@ print("USED", len(stitcher.images.names))
 """
 HUGIN = """set -e; cd "$1"; out=$2; shift 2; pto_gen -o a.pto -p 0 "$@"; cpfind --multirow -o b.pto a.pto; cpclean -o c.pto b.pto
 pto_var --opt='r,TrX,TrY,TrZ,!r0,!TrX0,!TrY0,!TrZ0' -o d.pto c.pto; autooptimiser -n -o e.pto d.pto
-pano_modify --projection=0 --fov=AUTO --canvas=AUTO --crop=AUTO -o h.pto e.pto; nona -m TIFF_m -o n h.pto; enblend -o $out n*.tif
+pto_var --opt='y,p,r,TrX,TrY,TrZ,!y0,!p0,!r0,!TrX0,!TrY0,!TrZ0' -o f.pto e.pto; autooptimiser -n -o g.pto f.pto
+pano_modify --projection=0 --fov=AUTO --canvas=AUTO --crop=AUTO -o h.pto g.pto; nona -m TIFF_m -o n h.pto; enblend -o $out n*.tif
 echo USED $(ls n*.tif | wc -l)"""
 COMPOSE = """
 import pickle, sys

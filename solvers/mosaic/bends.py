@@ -6,6 +6,8 @@ three, of x^2, x y, y^2) and row (last three) are shifted by where x or y, from 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..cameras import Interior
@@ -36,3 +38,16 @@ def terms(width: int, height: int, pixels: np.ndarray) -> np.ndarray:
     x = np.clip((pixels[..., 0] - (width - 1) / 2) / (width / 2), -REACH, REACH)
     y = np.clip((pixels[..., 1] - (height - 1) / 2) / (width / 2), -REACH, REACH)
     return np.stack([x * x, x * y, y * y], -1)
+
+
+def by_bend(interiors: Sequence[Interior], photo: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """(k, 2, 6) how ideal photo coordinates over c (k, 2), x right and y up, of photos (k,) move with the bends of their photos."""
+    size = np.array([[i.width, i.height] for i in interiors], float)[photo]
+    scale = np.array([i.c / i.pitch for i in interiors]).reshape(-1, 2)[photo] * [1, -1]
+    offset = np.array([i.principal_point / i.pitch for i in interiors]).reshape(-1, 2)[photo] * [1, -1]
+    off = (q * scale + offset) / (size[:, :1] / 2)
+    x, y = np.clip(off, -REACH, REACH).T
+    f = np.stack([x * x, x * y, y * y], -1)
+    out = np.zeros((len(q), 2, 6))
+    out[:, 0, :3], out[:, 1, 3:] = f / scale[:, :1], f / scale[:, 1:]
+    return out

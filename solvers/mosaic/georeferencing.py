@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -14,13 +14,16 @@ from .models import Exteriors, through
 from .problem import PhotoPriors
 from .simultaneous import Found
 
+AFLOAT = 30.0
+"""Onboard heights weigh less by this factor where the height of the plane comes from them."""
+
 
 @dataclass(frozen=True)
 class Placing:
     """A similarity from the reference photo's plane to the local frame: X' = scale R(turn) X + shift, heights over the plane by
     the same scale. plane (3,): z0, zx, zy. height: z0. wrong: control points that cannot be right. unit, frame: of the result.
     controlled: something weighted joins the adjustment. by_gps: onboard positions do. datum: of a bundle. pixel: size of a
-    photo's pixel on the mosaic."""
+    photo's pixel on the mosaic. afloat: nothing but onboard heights over it says how high the plane is."""
 
     data: Data
     scale: float
@@ -35,10 +38,21 @@ class Placing:
     pixel: float
     said: tuple[str, ...]
     wrong: tuple[str, ...] = ()
+    afloat: bool = False
 
     @property
     def height(self) -> float:
         return float(self.plane[0])
+
+    def settled(self, exteriors: Exteriors, photos: np.ndarray) -> tuple[Placing, Exteriors, np.ndarray]:
+        """The same with the plane, and photos (m, 12) over it, lifted to where onboard heights say."""
+        if not self.afloat:
+            return self, exteriors, photos
+        rows = np.flatnonzero(np.isfinite(self.data.gps[:, 2]))
+        lift = float(np.median(self.data.gps[rows, 2] - photos[rows, 2]))
+        plane, out = self.plane + np.array([lift, 0.0, 0.0]), photos.copy()
+        out[:, 2] += lift
+        return replace(self, plane=plane), replace(exteriors, plane=(float(plane[0]), *exteriors.plane[1:])), out
 
     @property
     def _matrix(self) -> np.ndarray:
@@ -65,6 +79,8 @@ class Placing:
         rows = np.flatnonzero(np.isfinite(data.gps).all(axis=1)) if self.by_gps else np.zeros(0, int)
         info, m = np.zeros((len(rows), 6, 6)), np.tile(np.eye(3), (len(rows), 1, 1))
         info[:, [0, 1, 2], [0, 1, 2]] = 1 / data.gps_sigma[rows] ** 2
+        if self.afloat:  # the height of the plane is not known: heights over it must not give the scale
+            info[:, 2, 2] /= AFLOAT**2
         for k, photo in enumerate(rows.tolist()):
             prior = data.whole.get(photo)
             if prior is not None and prior.angles is not None and prior.covariance is not None:
@@ -116,7 +132,8 @@ def placing_of(data: Data, h: np.ndarray, found: Found | None, plane: float | st
     if not exterior and len(control) < 2:
         said.append("onboard positions scale, turn and shift the mosaic; with plane coefficients they do not stop its drift")
     return Placing(data, scale, turn, shift, np.array([height, 0.0, 0.0]), "m", data.frame, controlled, by_gps, datum,
-                   scale * pixel, tuple(said), wrong)
+                   scale * pixel, tuple(said), wrong,
+                   by_gps and len(control) < 2 and not isinstance(plane, (int, float)) and not data.whole)
 
 
 def similarity(source: np.ndarray, target: np.ndarray, sigma: np.ndarray) -> tuple[float, float, np.ndarray, np.ndarray]:

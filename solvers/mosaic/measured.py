@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..geometry import Exterior, exp
+from .bends import by_bend
 from .models import tangent
 from .registration import Registration, plane_warp
 
@@ -50,6 +51,8 @@ def place_jacobian(r: Registration, photo: int, xy: np.ndarray) -> np.ndarray:
     q, by_place = _seen(h, xy)
     if r.kind == "plane":
         by_photo = tangent(q[None])[0]
+        if r.covariance.shape[1] > by_photo.shape[1]:  # the photo's bend is in it
+            by_photo = np.hstack([by_photo, by_bend(r.interiors, np.array([photo]), q[None])[0]])
     else:
         e = r.exteriors[photo]
         height = abs(float(e.centre[2] - r.heights(np.asarray(xy, float))))

@@ -6,14 +6,17 @@ left in. Their share is the adjustment's own response to them. Reference: FORMUL
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from ..adjustment.schur import Reduced
+from ..cameras import Interior
 from ..errors import DegenerateGeometry
-from .models import through
+from .bends import by_bend
+from .models import Seen, through
 from .problem import Gathered, Registering, _inverse, _summed
 from .simultaneous import homographies
 
@@ -49,19 +52,31 @@ class Response:
         return out
 
     @cached_property
-    def onto(self) -> np.ndarray:
-        """(m, 25, 2, s) how places of a photo move on the mosaic with its tangent; NaN beyond the horizon."""
+    def _grid(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, Seen]:
+        """Photos (25 m,), photo coordinates over c (25 m, 2) of the places, X, Y (25 m, 2) and how they are seen."""
         problem = self.problem
         photos = problem.split(self.x)[0]
-        m = len(photos)
         q = (GRID[None] * self.half[:, None]).reshape(-1, 2)
-        image = np.repeat(np.arange(m), len(GRID))
+        image = np.repeat(np.arange(len(photos)), len(GRID))
         xy = through(np.linalg.inv(homographies(problem.model, photos))[image], q)[0]
-        seen = problem.model.see(photos, image, xy, np.zeros(len(q)))
+        return image, q, xy, problem.model.see(photos, image, xy, np.zeros(len(q)))
+
+    @cached_property
+    def onto(self) -> np.ndarray:
+        """(m, 25, 2, s) how places of a photo move on the mosaic with its tangent; NaN beyond the horizon."""
+        return self.moving(self._grid[3].by_photo)
+
+    def bending(self, interiors: Sequence[Interior]) -> np.ndarray:
+        """(m, 25, 2, 6) how places of a photo move on the mosaic with its bend."""
+        return self.moving(by_bend(interiors, *self._grid[:2]))
+
+    def moving(self, by: np.ndarray) -> np.ndarray:
+        """(m, 25, 2, k) on the mosaic from (25 m, 2, k) in the photos."""
+        _, _, xy, seen = self._grid
         with np.errstate(invalid="ignore"):
-            j = -np.linalg.solve(np.where(np.isfinite(seen.by_point), seen.by_point, np.eye(2)), seen.by_photo)
+            j = -np.linalg.solve(np.where(np.isfinite(seen.by_point), seen.by_point, np.eye(2)), by)
         j[~np.isfinite(xy).all(axis=1)] = np.nan
-        return j.reshape(m, len(GRID), 2, -1)
+        return j.reshape(-1, len(GRID), 2, j.shape[2])
 
     def noise(self) -> np.ndarray:
         """(m,) standard error of a photo's places on the mosaic: rms over the photo of the length of the error, noise alone."""
@@ -70,23 +85,36 @@ class Response:
 
     def to(self, errors: np.ndarray) -> np.ndarray:
         """(m, s, k) the photos' tangent steps by k sets of errors (o, 2, k) of observations [their sigmas]."""
-        problem, net = self.problem, self.problem.network
-        made, reduced = self._made
-        s, k = problem.model.size, errors.shape[2]
-        factor = np.ones(len(net.image))
-        if net.loss:
-            from ..adjustment.losses import LOSSES
-
-            factor = np.sqrt(LOSSES[net.loss](np.linalg.norm(problem.residuals(self.x), axis=1)))
-        e = errors * factor[:, None, None]
-        q = _summed(np.einsum("oea,oek->oak", made.b, e), net.point, len(net.known))
-        t = _inverse(made.v, 0.0) @ q
-        e = e - made.b @ t[net.point]
+        net, (made, reduced) = self.problem.network, self._made
+        s, k = self.problem.model.size, errors.shape[2]
+        e = errors * self._robust
+        e = e - made.b @ self._points(e)[net.point]
         rows = np.flatnonzero(made.node >= 0)
         g = _summed(np.einsum("oea,oek->oak", made.a[rows], e[rows]), made.node[rows], len(net.live))
         out = np.zeros((len(net.names), s, k))
         out[net.live] = reduced.factor.solve(g.reshape(-1, k)).reshape(-1, s, k)
         return out
+
+    def left(self, errors: np.ndarray, steps: np.ndarray) -> np.ndarray:
+        """(o, 2, k) what is left of errors (o, 2, k) when the photos took their steps (m, s, k) and the points theirs."""
+        made = self._made[0]
+        e = errors * self._robust - made.a @ steps[self.problem.network.image]
+        return (e - made.b @ self._points(e)[self.problem.network.point]) / self._robust
+
+    def _points(self, e: np.ndarray) -> np.ndarray:
+        """(n, 2, k) steps of the points alone by weighted errors (o, 2, k)."""
+        made, net = self._made[0], self.problem.network
+        return _inverse(made.v, 0.0) @ _summed(np.einsum("oea,oek->oak", made.b, e), net.point, len(net.known))
+
+    @cached_property
+    def _robust(self) -> np.ndarray:
+        """(o, 1, 1) square roots of the weights that the loss leaves."""
+        net = self.problem.network
+        if not net.loss:
+            return np.ones((len(net.image), 1, 1))
+        from ..adjustment.losses import LOSSES
+
+        return np.sqrt(LOSSES[net.loss](np.linalg.norm(self.problem.residuals(self.x), axis=1)))[:, None, None]
 
     def moved(self, steps: np.ndarray) -> np.ndarray:
         """(m, k) rms over the photo of the displacement on the mosaic by tangent steps (m, s, k)."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from ..errors import BadProject, DegenerateGeometry
 from ..geometry import Exterior, angle_derivatives
 from .bending import bend_photos
 from .bends import bent
+from .bent_precision import bent_precision
 from .checks import check_ties, discrepancies
 from .data import Data, data_of
 from .georeferencing import Placing, placing_of, plane_at
@@ -147,7 +148,7 @@ def _simultaneous(data: Data, request: RegistrationRequest, bundle: BundleSolver
         return place
     adjusted = None
     if place.controlled:
-        found = _placed(data, place, found, request)
+        place, found = _placed(data, place, found, request)
     elif data.level != "uncontrolled":
         found = _moved(place, found)
     sure, bends = found, None  # what judges the precision
@@ -157,8 +158,8 @@ def _simultaneous(data: Data, request: RegistrationRequest, bundle: BundleSolver
     if model == "bundle":
         assert bundle is not None
         adjusted, found, place = _bundled(data, place, found, request, bundle)
-    out = _concluded(data, request, model, found, sure, place, lost, adjusted)
-    return out if bends is None else _with_bends(place.data, out, bends)
+    out = _concluded(data, request, model, found, sure, place, lost, adjusted, bends)
+    return out if bends is None else _with_bends(place.data, out, bends.values)
 
 
 def _model(data: Data, request: RegistrationRequest, bundle: BundleSolver | None) -> str:
@@ -191,16 +192,21 @@ def _without_strangers(data: Data, found: Found, request: RegistrationRequest) -
     return data, staged(net, photos.reshape(-1, 3, 3), found.xy, ("projective",)), out
 
 
-def _placed(data: Data, place: Placing, found: Found, request: RegistrationRequest) -> Found:
+def _placed(data: Data, place: Placing, found: Found,
+            request: RegistrationRequest) -> tuple[Placing, Found]:
     """The adjustment once more in map units, with control points and onboard positions as weighted observations."""
     net = place.data.network(request.loss, control=True, height=place.height)
     factor = max(1.0, spread(found.problem, found.x))
     net = replace(net, weight=net.weight / factor)
     xy = place.points(found.xy)
     if isinstance(found.problem.model, Exteriors):
-        return oriented(net, [place.exteriors(found.photos)], xy, (place.height, 0.0, 0.0), place.priors(data), found)
+        made = oriented(net, [place.exteriors(found.photos)], xy, (place.height, 0.0, 0.0), place.priors(data), found)
+        assert isinstance(made.problem.model, Exteriors)
+        place, model, photos = place.settled(made.problem.model, made.photos)
+        problem = replace(made.problem, model=model)
+        return place, replace(made, problem=problem, x=problem.pack(photos, made.xy))
     problem = Registering(net, Coefficients())
-    return run(problem, problem.pack(place.homographies(found.warps).reshape(-1, 9), xy), "control", found)
+    return place, run(problem, problem.pack(place.homographies(found.warps).reshape(-1, 9), xy), "control", found)
 
 
 def _moved(place: Placing, found: Found) -> Found:
@@ -210,10 +216,17 @@ def _moved(place: Placing, found: Found) -> Found:
     return replace(found, x=problem.pack(photos, place.points(found.xy)))
 
 
-def _adapted(data: Data, found: Found, net: Network) -> tuple[Found, np.ndarray | None]:
+class Bends(NamedTuple):
+    """Bends of the photos (m, 6), and their standard error [px] beforehand."""
+
+    values: np.ndarray
+    within: float
+
+
+def _adapted(data: Data, found: Found, net: Network) -> tuple[Found, Bends | None]:
     """Plane coefficients that stay within a few pixels of the exterior orientations: what is not quite a plane, or not quite a
     central projection, is shared out so that photos meet, and nothing adds up along the block. Where the photos do not fit as
-    well as their tie points were measured, they bend too: (m, 6)."""
+    well as their tie points were measured, they bend too."""
     h, was = found.warps, found.problem
     within = 3.0 * float(np.median(np.linalg.norm(was.residuals(found.x), axis=1) / was.network.weight.mean(axis=1)))
     q = GRID * np.abs(net.q).max(axis=0)
@@ -224,8 +237,9 @@ def _adapted(data: Data, found: Found, net: Network) -> tuple[Found, np.ndarray 
     made = run(problem, problem.pack(h.reshape(-1, 9), found.xy), "adapted", found)
     if spread(problem, made.x) < MISFIT:
         return made, None
-    return bend_photos(made, data.interiors, np.array([_camera(i) for i in data.interiors]),
-                       within * float(np.median(data.scale)))
+    most = within * float(np.median(data.scale))
+    made, bends = bend_photos(made, data.interiors, np.array([_camera(i) for i in data.interiors]), most)
+    return made, Bends(bends, most)
 
 
 def _with_bends(data: Data, registration: Registration, bends: np.ndarray) -> Registration:
@@ -284,7 +298,7 @@ def _bundled(data: Data, place: Placing, found: Found, request: RegistrationRequ
 
 
 def _concluded(data: Data, request: RegistrationRequest, model: str, found: Found, sure: Found, place: Placing,
-               lost: dict[str, str], adjusted: Any) -> Registration:
+               lost: dict[str, str], adjusted: Any, bends: Bends | None = None) -> Registration:
     data = place.data
     net, said = found.problem.network, list(place.said)
     keep = list(range(len(data.names)))
@@ -300,7 +314,13 @@ def _concluded(data: Data, request: RegistrationRequest, model: str, found: Foun
         try:
             covariance, noise = response.covariance * factor**2, response.noise() * factor
             if model == "adapted":
-                covariance = _as_coefficients(response, covariance) + Response(found.problem, found.x, data.half).covariance
+                near = Response(found.problem, found.x, data.half)
+                if bends is None:
+                    covariance = _as_coefficients(response, covariance) + near.covariance
+                else:
+                    covariance, noise, more = _bent(response, near, bends, data.interiors)
+                    said.append(f"were all photos bent alike, by as much, {more / place.pixel:.0f} px of drift would come to the "
+                                "standard errors")
             said += weak_photos(data, net, noise, place, _relief_share(response, factor), model)
         except DegenerateGeometry as error:
             covariance = np.full((len(keep), *2 * (found.problem.model.size,)), np.nan)
@@ -326,6 +346,17 @@ def _concluded(data: Data, request: RegistrationRequest, model: str, found: Foun
             data = data.with_interiors(adjusted.interiors)
     return _registration(data, request, "plane" if flat else "exterior", keep, h, exteriors, place, covariance, noise,
                          np.array([rms]), trace, said, lost)
+
+
+def _bent(sure: Response, near: Response, bends: Bends, interiors: tuple[Interior, ...]) -> tuple[np.ndarray, np.ndarray, float]:
+    """Covariance (m, 14, 14) of coefficients and bends, standard error (m,) of places, and the drift of the worst photo if all
+    were bent alike."""
+    scale = max(1.0, spread(near.problem, near.x))
+    made = bent_precision(sure, near, near.problem.network.weight / scale, interiors, bends.values, bends.within)
+    covariance = np.zeros((len(interiors), 14, 14))
+    covariance[:, :8, :8] = _as_coefficients(sure, made.covariance) + scale**2 * near.covariance
+    covariance[:, 8:, 8:] = made.bends
+    return covariance, np.hypot(made.noise, scale * near.noise()), float(np.nanmax(made.alike))
 
 
 def _as_coefficients(response: Response, covariance: np.ndarray) -> np.ndarray:

@@ -46,7 +46,8 @@ class Registration:
     plane Z = z0 + zx X + zy Y, local. frame: the local frame; local + frame.origin (or frame.to_map) is the map. unit: of X
     and Y, "m", or "px" of the reference photo where nothing gives the scale. covariance (n, k, k): of each photo, k = 8 for
     plane coefficients: d11 d12 d13 d21 d22 d23 d31 d32 of H <- (I + D) H, H from the mosaic plane to ideal photo coordinates
-    over c (x right, y up), or k = 6 centre and left rotation vector; NaN of a sequential registration. trace: every step.
+    over c (x right, y up), or k = 14 these and the bend [px], or k = 6 centre and left rotation vector; NaN of a sequential
+    registration. trace: every step.
     corner_sigma (n,): predicted standard error [unit] of the photo's corners on the mosaic, the
     noise alone. unused: photos that take no part, and why. rejected: control points left out. rms_px:
     of the tie points. bends (n, 6), kind "plane": what each photo differs by from a central projection, see `bends`; None: not.

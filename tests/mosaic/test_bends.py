@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 from solvers.mosaic import RegistrationRequest, check_ties, register
-from solvers.mosaic.bends import bent, straightened
+from solvers.mosaic.bends import bent, by_bend, straightened
+from solvers.mosaic.measured import measure, place_jacobian, seen_by
+from solvers.mosaic.precision import GRID
+from solvers.mosaic.registration import plane_warp, undistorted
 from solvers.workflows_compose import placed_at
 
 from .test_register import CAMERA, flight
@@ -20,6 +23,19 @@ def test_straightened_is_the_inverse_of_bent_also_outside_the_photo():
     assert np.abs(straightened(BEND, CAMERA, bent(BEND, CAMERA, pixels)) - pixels).max() < 1e-6
     edge = bent(BEND, CAMERA, np.array([[CAMERA.width - 1.0, (CAMERA.height - 1) / 2]]))
     assert edge - [[CAMERA.width - 1.0, (CAMERA.height - 1) / 2]] == pytest.approx(np.array([[4, -1]]), abs=0.02)
+
+
+def test_photo_coordinates_move_with_bends_as_pixels_do():
+    rng = np.random.default_rng(1)
+    pixels = rng.uniform([0, 0], [1499, 999], (20, 2))
+    ideal = replace(CAMERA, k1=0.0)
+
+    def over_c(p):
+        return (ideal.photo(p) - ideal.principal_point) / ideal.c
+
+    moved = (over_c(bent(BEND, CAMERA, pixels)) - over_c(pixels))
+    by = by_bend([CAMERA, CAMERA], np.ones(20, int), over_c(pixels))
+    assert by @ BEND == pytest.approx(moved, abs=1e-12)
 
 
 @pytest.fixture(scope="module")
@@ -61,3 +77,32 @@ def test_a_smaller_picture_of_a_bent_photo_shows_the_same_places(made):
 def test_photos_that_fit_stay_as_they_are():
     block, _, _ = flight(2, 3, noise=0.2, per=40)
     assert register(block, RegistrationRequest(model="adapted")).bends is None
+
+
+def test_predicted_errors_hold_for_photos_that_bend():
+    """Truth against prediction over many draws of bends: those that look like tilts turn the photos, and the sigma knows."""
+    ratio, grid = [], GRID * [CAMERA.width / 2, CAMERA.height / 2] + [(CAMERA.width - 1) / 2, (CAMERA.height - 1) / 2]
+    for seed in range(4):
+        block, poses, _ = flight(2, 4, noise=0.2, per=40, seed=seed)
+        of, rng = block.observations, np.random.default_rng(seed + 500)
+        bends, pixel = rng.normal(0, 4, (len(poses), 6)), of.pixel.copy()
+        for k, bend in enumerate(bends):
+            pixel[of.image == k] = bent(bend, CAMERA, pixel[of.image == k])
+        made = register(replace(block, observations=replace(of, pixel=pixel)), RegistrationRequest(model="adapted"))
+        off = []
+        for k, (bend, pose) in enumerate(zip(bends, poses, strict=True)):
+            at = undistorted(CAMERA, grid) @ (h := np.linalg.inv(plane_warp(CAMERA, pose, np.array([50.0, 0, 0]))))[:, :2].T + h[:, 2]
+            shown = made.on_plane(k, bent(bend, CAMERA, grid)) + made.frame.origin[:2]
+            off.append(np.mean(np.sum((shown - at[:, :2] / at[:, 2:]) ** 2, axis=1)))
+        assert made.covariance.shape[1:] == (14, 14) and any("bent alike" in w for w in made.warnings)
+        ratio.append(np.mean(off) / np.mean(made.corner_sigma**2))
+    assert 0.6 < np.sqrt(np.mean(ratio)) < 1.5, ratio
+
+
+def test_what_is_measured_on_a_bent_photo_has_the_error_of_its_bend_too(made):
+    soft = made[2]
+    at = soft.on_plane(5, np.array([[60.0, 60.0]]))
+    whole = measure(soft, at).sigma
+    rigid = measure(replace(soft, covariance=soft.covariance[:, :8, :8]), at).sigma
+    j = place_jacobian(soft, seen_by(soft, at[0])[0], at[0])
+    assert j.shape == (2, 14) and np.all(whole > rigid) and np.all(np.isfinite(whole))

@@ -39,7 +39,7 @@ def test_length_and_area_scatter_as_predicted() -> None:
     assert len(set(found.photos)) == 1 and found.length is not None and found.area is not None
     pixels, root = r.to_pixels(k, xy), np.linalg.cholesky(r.covariance[k])
     rng, lengths, areas, places = np.random.default_rng(5), [], [], []
-    for _ in range(1500):
+    for _ in range(500):
         d, e = root @ rng.standard_normal(6), r.exteriors[k]
         moved = Exterior(exp(d[3:]) @ e.m, e.centre + d[:3])
         other = replace(r, exteriors=tuple(moved if n == k else x for n, x in enumerate(r.exteriors)))
@@ -48,9 +48,9 @@ def test_length_and_area_scatter_as_predicted() -> None:
         lengths.append(seen.length.value)
         areas.append(seen.area.value)
         places.append(seen.xy)
-    assert np.std(lengths) == pytest.approx(found.length.sigma, rel=0.08)
-    assert np.std(areas) == pytest.approx(found.area.sigma, rel=0.08)
-    np.testing.assert_allclose(np.std(places, axis=0), found.sigma, rtol=0.08)
+    assert np.std(lengths) == pytest.approx(found.length.sigma, rel=0.13)
+    assert np.std(areas) == pytest.approx(found.area.sigma, rel=0.13)
+    np.testing.assert_allclose(np.std(places, axis=0), found.sigma, rtol=0.13)
 
 
 def test_values_are_plain_geometry_and_unknown_errors_stay_unknown() -> None:
