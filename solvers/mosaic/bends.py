@@ -41,7 +41,7 @@ def terms(width: int, height: int, pixels: np.ndarray) -> np.ndarray:
 
 
 def by_bend(interiors: Sequence[Interior], photo: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """(k, 2, 6) how ideal photo coordinates over c (k, 2), x right and y up, of photos (k,) move with the bends of their photos."""
+    """(k, 2, 6) how ideal photo coordinates over c (k, 2), x right and y up, of photos (k,) move with their bends."""
     size = np.array([[i.width, i.height] for i in interiors], float)[photo]
     scale = np.array([i.c / i.pitch for i in interiors]).reshape(-1, 2)[photo] * [1, -1]
     offset = np.array([i.principal_point / i.pitch for i in interiors]).reshape(-1, 2)[photo] * [1, -1]

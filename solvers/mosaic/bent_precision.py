@@ -30,8 +30,8 @@ class BentPrecision(NamedTuple):
     alike: np.ndarray
 
 
-def bent_precision(sure: Response, near: Response, weight: np.ndarray, interiors: Sequence[Interior], bends: np.ndarray, within: float,
-                   seed: int = 6) -> BentPrecision:
+def bent_precision(sure: Response, near: Response, weight: np.ndarray, interiors: Sequence[Interior], bends: np.ndarray,
+                   within: float, seed: int = 6) -> BentPrecision:
     """sure: the exterior orientations of the photos; weight (o, 2): of the observations, as well as they fit with bends; bends
     (m, 6) [px], of standard error `within` beforehand. Raises DegenerateGeometry where singular."""
     problem, m = sure.problem, len(bends)

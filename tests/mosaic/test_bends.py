@@ -91,7 +91,8 @@ def test_predicted_errors_hold_for_photos_that_bend():
         made = register(replace(block, observations=replace(of, pixel=pixel)), RegistrationRequest(model="adapted"))
         off = []
         for k, (bend, pose) in enumerate(zip(bends, poses, strict=True)):
-            at = undistorted(CAMERA, grid) @ (h := np.linalg.inv(plane_warp(CAMERA, pose, np.array([50.0, 0, 0]))))[:, :2].T + h[:, 2]
+            h = np.linalg.inv(plane_warp(CAMERA, pose, np.array([50.0, 0, 0])))
+            at = undistorted(CAMERA, grid) @ h[:, :2].T + h[:, 2]
             shown = made.on_plane(k, bent(bend, CAMERA, grid)) + made.frame.origin[:2]
             off.append(np.mean(np.sum((shown - at[:, :2] / at[:, 2:]) ** 2, axis=1)))
         assert made.covariance.shape[1:] == (14, 14) and any("bent alike" in w for w in made.warnings)
