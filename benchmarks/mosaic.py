@@ -63,11 +63,16 @@ def run(command: list[str]) -> dict[str, Any]:
     peak, stop = [0], threading.Event()
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
+    def family(pid: int) -> list[int]:
+        below = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+        return [pid, *(p for child in below for p in family(int(child)))]
+
     def watch() -> None:
         while not stop.wait(0.05):
             try:
-                status = Path(f"/proc/{process.pid}/status").read_text()
-                peak[0] = max(peak[0], int(status.split("VmHWM:")[1].split()[0]) // 1024)
+                for pid in family(process.pid):
+                    status = Path(f"/proc/{pid}/status").read_text()
+                    peak[0] = max(peak[0], int(status.split("VmHWM:")[1].split()[0]) // 1024)
             except (OSError, IndexError):
                 continue
 

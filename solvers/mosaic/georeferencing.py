@@ -140,7 +140,8 @@ def similarity(source: np.ndarray, target: np.ndarray, sigma: np.ndarray) -> tup
     """Scale, rotation [rad], shift (2,) and distances (k,) left, of the weighted similarity source (k, 2) -> target (k, 2),
     wrong pairs weighted down (Cauchy over the median). Raises DegenerateGeometry where all coincide."""
     z, w, weight = source[:, 0] + 1j * source[:, 1], target[:, 0] + 1j * target[:, 1], 1 / sigma
-    off, a, b = np.zeros(len(z)), 0j, 0j
+    a, b = _agreed(z, w)
+    off = np.abs(a * z + b - w) if len(z) > 3 else np.zeros(len(z))
     for _ in range(12 if len(z) > 3 else 1):
         r = np.sqrt(1 / (1 + (off / np.maximum(2.385 * 1.5 * np.median(off), 1e-12)) ** 2)) if off.any() else np.ones(len(z))
         design = np.column_stack([z, np.ones(len(z))]) * (weight * r)[:, None]
@@ -149,6 +150,21 @@ def similarity(source: np.ndarray, target: np.ndarray, sigma: np.ndarray) -> tup
     if not np.abs(a) > 0 or np.ptp(np.abs(z - z.mean())) + np.abs(z - z.mean()).max() <= 0:
         raise DegenerateGeometry("the positions that should place the mosaic coincide; give others")
     return float(np.abs(a)), float(np.angle(a)), np.array([b.real, b.imag]), off
+
+
+def _agreed(z: np.ndarray, w: np.ndarray, trials: int = 400) -> tuple[complex, complex]:
+    """a, b of the pair of positions whose similarity z -> w leaves the smallest median distance."""
+    i, j = np.triu_indices(len(z), 1)
+    if len(i) > trials:
+        i, j = np.random.default_rng(1960).integers(0, len(z), (2, trials))
+    apart = np.abs(z[i] - z[j]) > 1e-9 * max(float(np.abs(z - z.mean()).max()), 1e-300)
+    i, j = i[apart], j[apart]
+    if not len(i):
+        return 0j, 0j
+    a = (w[i] - w[j]) / (z[i] - z[j])
+    b = w[i] - a * z[i]
+    best = int(np.argmin(np.median(np.abs(a[:, None] * z + b[:, None] - w), axis=1)))
+    return complex(a[best]), complex(b[best])
 
 
 def plane_at(points: np.ndarray, wish: float | str | None) -> np.ndarray:

@@ -20,6 +20,8 @@ from .problem import Registering
 
 LEAST = {"similarity": 3, "affine": 5, "projective": 6}
 """Points from which on a stage is tried for one photo: more than it needs."""
+OBLIQUE = 20
+"""Points from which on a photo that no similarity explains is tried as one that is tilted far."""
 GENTLE = Options(max_iterations=30, step_tolerance=1e-4, cost_tolerance=1e-10)
 
 
@@ -103,6 +105,8 @@ def grow(net: Network, reference: int, h: np.ndarray, stages: Sequence[str] = ("
 def fit(net: Network, rows: np.ndarray, xy: np.ndarray, stages: Sequence[str]) -> Step | None:
     """One photo onto known points xy (k, 2) by its observations `rows`; None where too few of them agree."""
     start, agree = consensus(xy, net.q[rows], 0.02)
+    if agree.mean() < 0.6 and len(rows) >= OBLIQUE:
+        start, agree = _oblique(xy, net.q[rows], start, agree)
     if agree.sum() < max(LEAST["similarity"], min(len(rows), max(6, len(rows) // 5))):
         return None
     one = Network(("photo",), np.zeros(len(rows), int), np.arange(len(rows)), net.q[rows], net.weight[rows], xy,
@@ -123,6 +127,21 @@ def fit(net: Network, rows: np.ndarray, xy: np.ndarray, stages: Sequence[str]) -
         off = np.linalg.norm((net.q[rows] - p) * net.weight[rows], axis=1)
         use = np.nan_to_num(off, nan=np.inf) < max(6.0, 4 * float(np.median(off[use])))
     return Step(0, h, len(rows), int(use.sum()), last, trace)
+
+
+def _oblique(xy: np.ndarray, q: np.ndarray, start: np.ndarray, agree: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The projective (3, 3) that many more points agree with than with the similarity `start`: a photo tilted far; else that."""
+    import cv2
+
+    middle, size = xy.mean(axis=0), max(float(xy.std()), 1e-12)
+    h, inside = cv2.findHomography((xy - middle) / size, q, cv2.RANSAC, 0.004, maxIters=5000, confidence=0.9999)
+    if h is None or inside.sum() < max(1.5 * agree.sum(), OBLIQUE):
+        return start, agree
+    h = h @ np.array([[1 / size, 0, -middle[0] / size], [0, 1 / size, -middle[1] / size], [0, 0, 1.0]])
+    at = np.column_stack([xy, np.ones(len(xy))]) @ h[2]
+    ok = inside.ravel().astype(bool)
+    h = h * np.sign(np.median(at[ok]))  # positive in front
+    return (h, ok & (at * np.sign(np.median(at[ok])) > 0)) if np.linalg.det(h) > 0 else (start, agree)
 
 
 def _spread(q: np.ndarray, stage: str) -> bool:

@@ -10,7 +10,9 @@ from solvers.adjustment import Options, solve
 from solvers.cameras import project
 from solvers.errors import BadProject, DegenerateGeometry
 from solvers.mosaic import RegistrationRequest, check_ties, register
-from solvers.mosaic.models import Coefficients, Exteriors
+from solvers.mosaic.georeferencing import similarity
+from solvers.mosaic.growing import fit
+from solvers.mosaic.models import Coefficients, Exteriors, through
 from solvers.mosaic.network import Network
 from solvers.mosaic.precision import Response
 from solvers.mosaic.problem import PhotoPriors, Registering, ShapePriors
@@ -248,3 +250,26 @@ def test_a_column_of_ties_in_the_side_overlap_is_named():
     assert any("rank deficient" in w and "lie on one line" in w for w in r.warnings), r.warnings
     fine, *_ = flight(2, 4, gps=False, step=(60.0, 70.0), noise=0.3, tilt=0.5)
     assert not any("rank deficient" in w for w in register(fine, RegistrationRequest(model="plane")).warnings)
+
+
+def test_one_position_far_off_does_not_place_the_mosaic():
+    source = np.array([[-400.0, -383], [1, -383], [-400, 13], [0, 0], [-164, 1341]])
+    target = np.array([[-20.0, -12], [20, -12], [-20, 28], [20, 28], [0, -32]])
+    scale, turn, _, off = similarity(source, target, np.full(5, 0.5))
+    assert scale == pytest.approx(0.1, rel=0.03) and abs(turn) < 0.03 and np.argmax(off) == 4 and np.sort(off)[3] < 1
+
+
+def test_a_photo_tilted_far_joins_by_its_projective():
+    """Half of an oblique photo's points agree with no similarity: fitted to known points, it is where it was taken from."""
+    pose = Exterior.from_angles(np.radians(50), 0.1, 0.3, np.array([1000.0, 1800, 350]))
+    rng = np.random.default_rng(4)
+    xy = rng.uniform([850, 1950], [1150, 2500], (300, 2))
+    pixel = project(CAMERA, pose, np.column_stack([xy, np.full(len(xy), 50.0)]))
+    xy, pixel = xy[CAMERA.inside(np.nan_to_num(pixel, nan=-9e9), -3)], pixel[CAMERA.inside(np.nan_to_num(pixel, nan=-9e9), -3)]
+    wrong = rng.random(len(xy)) < 0.2
+    xy[wrong] += rng.normal(0, 80, (int(wrong.sum()), 2))
+    net = Network.of(["oblique"], [CAMERA], np.zeros(len(xy), int), np.arange(len(xy)), pixel, np.full(len(xy), 0.3), loss="cauchy")
+    made = fit(net, np.arange(len(xy)), xy, ())
+    assert made is not None and made.agreeing > 0.7 * len(xy)
+    at = through(np.broadcast_to(made.h, (len(xy), 3, 3)), xy)[0]
+    assert np.abs(at - net.q)[~wrong].max() < 0.004
