@@ -319,8 +319,8 @@ def _concluded(data: Data, request: RegistrationRequest, model: str, found: Foun
                     covariance = _as_coefficients(response, covariance) + near.covariance
                 else:
                     covariance, noise, more = _bent(response, near, bends, data.interiors)
-                    said.append(f"if all photos are bent alike, as a camera's own error bends them, up to {more / place.pixel:.0f} px "
-                                "of drift are not in the standard errors")
+                    said.append("if all photos are bent alike, as a camera's own error bends them, up to "
+                                f"{more / place.pixel:.0f} px of drift are not in the standard errors")
             said += weak_photos(data, net, noise, place, _relief_share(response, factor), model)
         except DegenerateGeometry as error:
             covariance = np.full((len(keep), *2 * (found.problem.model.size,)), np.nan)

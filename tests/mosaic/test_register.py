@@ -268,7 +268,8 @@ def test_a_photo_tilted_far_joins_by_its_projective():
     xy, pixel = xy[CAMERA.inside(np.nan_to_num(pixel, nan=-9e9), -3)], pixel[CAMERA.inside(np.nan_to_num(pixel, nan=-9e9), -3)]
     wrong = rng.random(len(xy)) < 0.2
     xy[wrong] += rng.normal(0, 80, (int(wrong.sum()), 2))
-    net = Network.of(["oblique"], [CAMERA], np.zeros(len(xy), int), np.arange(len(xy)), pixel, np.full(len(xy), 0.3), loss="cauchy")
+    net = Network.of(["oblique"], [CAMERA], np.zeros(len(xy), int), np.arange(len(xy)), pixel, np.full(len(xy), 0.3),
+                     loss="cauchy")
     made = fit(net, np.arange(len(xy)), xy, ())
     assert made is not None and made.agreeing > 0.7 * len(xy)
     at = through(np.broadcast_to(made.h, (len(xy), 3, 3)), xy)[0]
