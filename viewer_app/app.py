@@ -6,7 +6,7 @@ import logging
 import queue
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -51,7 +51,7 @@ class App:
         opened = folder if isinstance(folder, State) else open_project(folder)
         self._state = resume(opened)
         self._keeper = Keeper(opened.assets.folder, opened.block, lambda: self._state)
-        self._actions: queue.Queue[Action | None] = queue.Queue()
+        self._actions: queue.Queue[Action | Callable[[], None] | None] = queue.Queue()
         self.latencies: list[float] = []
         self.server = open_server(host, port, token)
         self.port = self.server.get_port()
@@ -118,9 +118,12 @@ class App:
             for _ in taken:
                 self._actions.task_done()
 
-    def _apply(self, taken: Sequence[Action]) -> None:
-        """What the actions make of the state; one that fails is said."""
+    def _apply(self, taken: Sequence[Action | Callable[[], None]]) -> None:
+        """What the actions make of the state; one that fails is said. A function is called when all before it was taken."""
         for action in taken:
+            if not isinstance(action, Action):
+                action()
+                continue
             try:
                 self._state = update(self._state, action)
                 if isinstance(action, Fly):
@@ -170,7 +173,7 @@ class App:
         except queue.Empty:
             self._actions.put(Tick())
             return []
-        taken: list[Action | None] = [first]
+        taken = [first]
         with suppress(queue.Empty):
             while True:
                 taken.append(self._actions.get_nowait())
@@ -234,7 +237,7 @@ class App:
             for command in tab.commands:
                 self._command(gui, command)
         complete(gui, {command.label for tab in tabs() for command in tab.commands}, self._wire, tab_of)
-        guard_values(self.server)
+        guard_values(self.server, self._actions.put)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(410)
         below.float(x=12, y=-12, width=430)

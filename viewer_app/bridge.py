@@ -10,6 +10,8 @@ import json
 import logging
 import math
 import secrets
+import threading
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from http import HTTPStatus
@@ -135,9 +137,30 @@ MAX_TEXT = 2000
 """Longest text a control takes, characters."""
 
 
-def guard_values(server: viser.ViserServer) -> None:
+_given: Counter[str] = Counter()
+"""By control, how many values people gave it that the viewer has not taken yet."""
+_counting = threading.Lock()
+
+
+def _count(control: str, change: int) -> None:
+    with _counting:
+        _given[control] += change
+        if _given[control] <= 0:
+            del _given[control]
+
+
+def given(handle: Any) -> bool:
+    """Whether a person gave the control a value that the state does not know yet: it must not be put back to what the state says,
+    for that would wipe out what is being typed."""
+    return bool(_given) and handle._impl.uuid in _given
+
+
+def guard_values(server: viser.ViserServer, afterwards: Callable[[Callable[[], None]], None]) -> None:
     """From now on a browser may only give a control a value that the control offers; anything else is dropped and the control
-    is shown again as it is. viser itself believes every message, even one that names parts of the control."""
+    is shown again as it is. viser itself believes every message, even one that names parts of the control.
+
+    afterwards: calls a function once all that the value brought about was taken.
+    """
     if not known_version():
         return
     from viser import _messages
@@ -156,7 +179,11 @@ def guard_values(server: viser.ViserServer) -> None:
                     if client.client_id == client_id:
                         client._websock_connection.queue_message(again)
             return
-        await inner(client_id, message)
+        _count(message.uuid, 1)
+        try:
+            await inner(client_id, message)
+        finally:
+            afterwards(lambda: _count(message.uuid, -1))
 
     handlers[_messages.GuiUpdateMessage] = [checked if h == inner else h for h in handlers[_messages.GuiUpdateMessage]]
     start, part = gui._handle_file_transfer_start, gui._handle_file_transfer_part

@@ -80,15 +80,22 @@ window.collinea = (() => {
   }).observe(document.body, {childList: true, subtree: true});
   const clamp = t => Math.min(1, Math.max(0, t));
   const place = (ev, r) => [clamp((ev.clientX - r.left) / r.width), clamp((ev.clientY - r.top) / r.height)];
-  let turned = 0, last = 0;
+  // the wheel: at most one message in 60 ms, and none of its turning is lost
+  let turned = 0, where = null, resting = false;
+  const turn = () => {
+    if (Math.abs(turned) < 20) return;
+    send(where[0] + (turned < 0 ? '-in' : '-out'), where[1]);
+    turned = 0;
+    resting = true;
+    setTimeout(() => { resting = false; turn(); }, 60);
+  };
   const wheel = ev => {
     ev.preventDefault();
+    const r = ev.currentTarget.getBoundingClientRect(), {kind} = ev.currentTarget.dataset;
+    if (where?.[0] !== kind) turned = 0;
     turned += ev.deltaY;
-    if (performance.now() - last < 60 || Math.abs(turned) < 20) return;
-    const r = ev.currentTarget.getBoundingClientRect();
-    send(ev.currentTarget.dataset.kind + (turned < 0 ? '-in' : '-out'), [...place(ev, r), clamp(r.width / 10000)]);
-    turned = 0;
-    last = performance.now();
+    where = [kind, [...place(ev, r), clamp(r.width / 10000)]];
+    if (!resting) turn();
   };
   const down = ev => {
     if (ev.button > 1) return;
@@ -127,7 +134,12 @@ window.collinea = (() => {
     addEventListener('pointerup', up, true);
     addEventListener('pointercancel', up, true);
   };
-  const reach = (tab, label, until = performance.now() + 3000) => {  // a box to type in gets the focus, a button is pressed
+  const reach = (tab, label, until = null) => {  // a box to type in gets the focus, a button is pressed
+    if (document.querySelector('[role=dialog]')) {  // the palette is still closing
+      requestAnimationFrame(() => reach(tab, label));
+      return;
+    }
+    until ??= performance.now() + 3000;
     const named = (kind, words) => [...document.querySelectorAll(kind)].find(e => e.innerText.trim() === words);
     const opened = named('[role=tab]', tab);
     if (opened && opened.getAttribute('aria-selected') !== 'true') {  // tabs listen to the pointer, for they can be dragged
@@ -138,22 +150,21 @@ window.collinea = (() => {
     while (row && !row.querySelector('input, textarea')) row = row.parentElement;
     const box = row?.querySelector('input, textarea');
     const to = box ?? named('button', label), soon = performance.now() < until;
-    if (!to || (soon && (to.offsetParent === null || document.querySelector('[role=dialog]')))) {  // the palette is still closing
+    if (!to || (soon && to.offsetParent === null)) {
       if (soon) requestAnimationFrame(() => reach(tab, label, until));
       return;
     }
     if (!box) { to.click(); return; }
     box.focus();
     box.select();
-    const since = performance.now();  // the palette gives the focus back to where it was, some time after it has gone
-    let typing = false;
-    box.addEventListener('keydown', () => { typing = true; }, {once: true});
-    const stay = () => {
-      if (performance.now() > since + 1000 || left > since || typing || !box.isConnected) return;
-      if (document.activeElement !== box) box.focus();
-      requestAnimationFrame(stay);
-    };
-    stay();
+    // the palette gives the focus back to where it was, however long after it has gone: only a person takes it away
+    const since = performance.now(), done = new AbortController(), {signal} = done;
+    const back = () => queueMicrotask(() => {
+      if (left > since || !box.isConnected) done.abort();
+      else box.focus();
+    });
+    box.addEventListener('keydown', () => done.abort(), {signal});
+    box.addEventListener('blur', back, {signal});
   };
   return {press, key, change, typed, down, wheel, reach};
 })();

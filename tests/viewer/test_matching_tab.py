@@ -88,6 +88,28 @@ def test_wheel_zooms_about_the_pointer_and_dragging_pans(session: Session) -> No
     v.wait_until(lambda: room(app).looks["left"].across > 640, "the whole photo")
 
 
+def test_turning_the_wheel_outlives_the_pane_being_drawn_anew(session: Session) -> None:
+    app, v = session
+    act(app, v, LookAt("left", 300, 200, 400))
+    v.wait_until(lambda: shows(app, v, "left"), "the look")
+    x, y = middle(v, "left")
+    v.page.evaluate(
+        """async ([x, y]) => {
+            const pane = () => document.getElementById('collinea-left');
+            const turn = () => pane().dispatchEvent(
+                new WheelEvent('wheel', {deltaY: -200, clientX: x, clientY: y, bubbles: true, cancelable: true}));
+            turn();
+            const anew = pane().cloneNode(true);  // as it was last told
+            anew.setAttribute('viewBox', anew.dataset.box.split(' ').slice(-4).join(' '));
+            pane().replaceWith(anew);
+            await new Promise(done => setTimeout(done));
+            turn(); }""", [x, y])
+    v.wait_until(lambda: room(app).looks["left"].across < 400, "the wheel")
+    settle(app, v)
+    assert abs(room(app).looks["left"].across - 400 * np.exp(-0.64)) < 1.0
+    v.wait_until(lambda: shows(app, v, "left"), "the zoomed look")
+
+
 def test_a_click_is_matched_shown_stepped_accepted_and_undone(session: Session) -> None:
     app, v = session
     act(app, v, LookAt("left", 300, 240, 200))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import math
+import threading
 from collections.abc import Sequence
 from typing import Any
 
@@ -94,6 +95,30 @@ def test_a_control_takes_only_what_it_offers(app: App) -> None:
     speak(app, [update(speed, value=3.5), update(image, value="right")])
     app._actions.join()  # between the two the page is painted with the old image
     assert speed.value == 3.5 and image.value == "right"
+
+
+def test_a_value_just_given_is_not_put_back_to_what_it_was(app: App) -> None:
+    """Who types faster than the viewer draws keeps what was typed; the state has the last word once it knows of it."""
+    speed, gate = labelled(app, "Rows per second"), threading.Event()
+    app._actions.join()
+    old = app.state
+
+    def wait() -> None:
+        gate.wait(60)
+
+    app._actions.put(wait)  # the viewer is busy
+    speak(app, [update(speed, value=2.5)])
+    assert app.state.speed == old.speed != 2.5
+    for panel in app._panels:
+        panel.draw(old)
+    assert speed.value == 2.5
+    gate.set()
+    app._actions.join()
+    assert app.state.speed == speed.value == 2.5
+    for panel in app._panels:
+        panel.draw(old)
+    assert speed.value == old.speed
+    app._paint()
 
 
 def test_nobody_reaches_into_a_control(app: App) -> None:

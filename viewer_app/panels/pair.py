@@ -84,7 +84,7 @@ def pane_html(state: State, m: Matching, side: str, look: Look, piece: Piece | N
     """One photo: an SVG in pixels of the full photo, (0, 0) at the outer corner of the top-left pixel."""
     image = m.image(side)
     camera = state.block.camera_of(image)
-    x, y, w, h = view_box(look)
+    shown = " ".join(f"{v:.3f}" for v in view_box(look))
     unit = look.across / 400
     picture = f'<rect x="0" y="0" width="{camera.width}" height="{camera.height}" fill="#888" fill-opacity=".25"/>'
     if piece is not None:
@@ -116,7 +116,8 @@ def pane_html(state: State, m: Matching, side: str, look: Look, piece: Piece | N
         f'<b style="overflow:hidden;text-overflow:ellipsis;white-space:nowrap" title="{esc(image)}">{esc(image)}</b>'
         f'<span style="white-space:nowrap">{buttons}</span></div>'
         f'<svg id="collinea-{side}" role="img" aria-label="{side} photo {esc(image)}" tabindex="0" data-side="{side}" '
-        f'data-w="{camera.width}" data-h="{camera.height}" viewBox="{x:.3f} {y:.3f} {w:.3f} {h:.3f}" {handlers} '
+        f'data-focus="pair/{side}" data-w="{camera.width}" data-h="{camera.height}" data-box="{esc(image)} {shown}" '
+        f'viewBox="{shown}" {handlers} '
         f'style="display:block;width:100%;aspect-ratio:1/{ASPECT};background:rgba(128,128,128,.18);cursor:crosshair;'
         f'touch-action:none;user-select:none">{picture}<g pointer-events="none">{shapes}</g></svg></div>'
     )
@@ -223,13 +224,27 @@ def cross(col: float, row: float, arm: float, unit: float, colour: str) -> str:
 SCRIPT = """
 window.collineaPair = (() => {
   const tell = text => collinea.press({stopPropagation() {}, currentTarget: {dataset: {kind: 'pair', value: text}}});
-  const timers = {};
-  const show = (e, b) => e.setAttribute('viewBox', b.join(' '));
+  const timers = {}, looks = {};  // looks: by pane, what it was drawn with and what is looked at here, until the answer comes
+  const show = (e, b) => {
+    e.setAttribute('viewBox', b.join(' '));
+    looks[e.id] = [e.dataset.box, b.join(' ')];
+  };
+  new MutationObserver(records => {
+    if (!records.some(r => r.addedNodes.length)) return;
+    for (const [id, look] of Object.entries(looks)) {
+      const e = document.getElementById(id);
+      if (!e) continue;
+      if (e.dataset.box !== look[0] && !timers[e.dataset.side]) { delete looks[id]; continue; }
+      look[0] = e.dataset.box;
+      if (e.getAttribute('viewBox') !== look[1]) e.setAttribute('viewBox', look[1]);
+    }
+  }).observe(document.body, {childList: true, subtree: true});
   const get = e => { const b = e.viewBox.baseVal; return [b.x, b.y, b.width, b.height]; };
   const told = (e, wait) => {
     const side = e.dataset.side;
     clearTimeout(timers[side]);
     timers[side] = setTimeout(() => {
+      timers[side] = 0;
       const [x, y, w, h] = get(e);
       tell([side, 'look', x + w / 2 - 0.5, y + h / 2 - 0.5, w].join('|'));
     }, wait);
@@ -287,12 +302,6 @@ window.collineaPair = (() => {
     ev.preventDefault();
     ev.stopPropagation();
     if (ev.key !== 'Enter') told(e, 150);
-    keep(e.id, performance.now() + 1500);
-  };
-  const keep = (id, until) => {  // the pane is made anew when the answer comes; the keys stay with it
-    const now = document.getElementById(id);
-    if (now && document.activeElement === document.body) now.focus({preventScroll: true});
-    if (performance.now() < until) requestAnimationFrame(() => keep(id, until));
   };
   return {wheel, down, key};
 })();

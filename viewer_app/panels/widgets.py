@@ -10,6 +10,7 @@ import numpy as np
 import viser
 
 from ..actions import Action
+from ..bridge import given
 from ..theme import Colour
 
 Emit = Callable[[Action], None]
@@ -25,8 +26,8 @@ def bind(handle: Any, emit: Emit, action: Callable[[Any], Action | None]) -> Non
 
 
 def put(handle: Any, value: Any) -> None:
-    """Show a value in a control without a word on the wire where it is shown already."""
-    if handle.value != value:
+    """Show a value in a control without a word on the wire where it is shown already, nor over one that was just given."""
+    if handle.value != value and not given(handle):
         handle.value = value
 
 
