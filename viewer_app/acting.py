@@ -86,6 +86,8 @@ def follow(state: State) -> State:
     """The row shown stays at the end where it was there, and within what there is."""
     if not state.follow and not all((s := state.solution(m)) and s.done for m in MODELS):
         return state  # more rows may come
+    if not state.follow and any(getattr(room, "coming", False) for room in state.rooms.values()):
+        return state  # a tab's too
     row = state.last_row if state.follow else min(state.row, state.last_row)
     return replace(state, row=row) if row != state.row else state
 

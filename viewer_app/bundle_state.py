@@ -170,6 +170,11 @@ class Bundle:
         return max(len(self.rows) - 1, 0)
 
     @property
+    def coming(self) -> bool:
+        """Whether more rows may come: the place on the slider waits for them."""
+        return self.task in ("run", "follow")
+
+    @property
     def leads(self) -> bool:
         """Whether it is drawn, and stepped through, in place of the images oriented one by one."""
         return self.alone and bool(self.rows) and self.layout is not None

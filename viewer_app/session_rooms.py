@@ -10,9 +10,16 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, replace
 from typing import Any, TypeVar
 
+import numpy as np
+
+from solvers import Exterior
+from solvers.adjustment import Iteration
+
 from .acting import update
 from .bundle_state import Bundle, RunBundle, bundle_choices, bundle_of_choices
 from .epochs import Epochs, GoToEpoch, reopened
+from .figures import FIGURES, Figure
+from .kept_run import KeptRun
 from .lists import Tables
 from .looking import Looking
 from .matching_state import COLOURS, SIDES, Look, Matching
@@ -30,7 +37,8 @@ from .mosaic_state import (
     Mosaic,
 )
 from .photo_view import PhotoView
-from .state import State
+from .state import MODELS as ORIENTED
+from .state import Solution, State
 
 Kind = TypeVar("Kind", bound=type)
 KEPT_ROOMS: dict[str, tuple[type, Callable[[Any], Any], Callable[[Any], Any]]] = {}
@@ -100,6 +108,50 @@ def _photo(said: Any) -> PhotoView:
 kept(from_json=_tables)(Tables)
 kept(lambda room: {k: getattr(room, k) for k in ("image", "left", "top", "width", "pane")}, _photo)(PhotoView)
 kept(lambda room: {"opacity": room.opacity}, lambda said: Looking("", _number(said["opacity"], 0.0, 1.0)))(Looking)
+
+
+# -- which figure is shown, and the run kept beside those that follow
+
+
+def _figure(said: Any) -> Figure:
+    return Figure(_one(said["name"], FIGURES))
+
+
+def _run_json(room: KeptRun) -> dict[str, Any]:
+    solutions = {m: [_row_json(r) for r in s.rows] for m, s in room.solutions.items()}
+    return {"image": room.image, "solutions": solutions}
+
+
+def _row_json(row: Iteration) -> list[Any]:
+    """NaN has no JSON."""
+    numbers = [float(getattr(row, name)) for name in ROW]
+    return [[float(v) for v in row.x], [None if v != v else v for v in numbers], row.trials, row.stop]
+
+
+def _run_again(state: State, said: Any) -> State:
+    """The traces themselves: what they were made from may have been edited since. One that does not hold is left out."""
+    try:
+        solutions = {
+            m: Solution(-1, tuple(_row(i, *row) for i, row in enumerate(said["solutions"][m])))
+            for m in ORIENTED
+            if said["solutions"].get(m)
+        }
+    except (TypeError, ValueError, KeyError, AttributeError):
+        return state
+    known = any(i.name == said["image"] for i in state.block.images)
+    return state.with_room(KeptRun(said["image"], solutions)) if known and solutions else state
+
+
+def _row(index: int, x: Any, numbers: Any, trials: Any, stop: Any) -> Iteration:
+    vector = np.array([_number(v, -1e12, 1e12) for v in x])
+    Exterior.from_vector(vector)
+    values = {name: math.nan if v is None else float(v) for name, v in zip(ROW, numbers, strict=True)}
+    return Iteration(index, vector, trials=int(trials), stop=None if stop is None else str(stop)[:80], **values)
+
+
+ROW = ("cost", "sigma0", "step", "gradient", "damping")
+kept(from_json=_figure)(Figure)
+kept(_run_json, lambda _: KeptRun(), _run_again)(KeptRun)
 
 
 # -- matching

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -36,6 +37,7 @@ from viewer_app.mosaic_tasks import tasks
 from viewer_app.mosaic_work import MOST, request_of
 from viewer_app.panels.mosaic import on_click
 from viewer_app.panels.mosaic_words import drift_html, layer_html, measured_html, progress_html, residuals_html, summary_html
+from viewer_app.session import from_json, to_json
 from viewer_app.state import State
 from viewer_app.values import Label, Picture, Segments
 
@@ -260,3 +262,16 @@ def test_what_cannot_be_is_said_in_one_sentence(both: State, folder: Path) -> No
     assert tasks(cancelled) == () and room(cancelled).wanted == {}
     failed = work(update(update(open_project(folder), Choose("model", "plane")), MakeMosaic("simultaneous")))
     assert room(failed).made or room(failed).message
+
+
+def test_after_a_restart_every_tile_is_made_again_as_it_was(both: State, folder: Path) -> None:
+    fresh = open_project(folder)
+    for action in bring(fresh):
+        fresh = update(fresh, action)
+    back = work(from_json(fresh, json.loads(json.dumps(to_json(both, fresh.block)))))
+    assert set(room(back).made) == set(room(both).made) == {"sequential", "simultaneous"}
+    for method, was in room(both).made.items():
+        now = room(back).made[method]
+        assert now.grid == was.grid and set(now.tiles) == set(was.tiles) and len(was.tiles) > 3
+        for name, tile in was.tiles.items():
+            assert np.array_equal(now.tiles[name].rgba, tile.rgba), (method, name)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from tests.viewer.sessions import DEMO
+from tests.viewer.test_actions import solve_all
 from viewer_app.acting import update
 from viewer_app.actions import (
     Aim,
@@ -31,7 +32,9 @@ from viewer_app.actions import (
 from viewer_app.actions_points import EditPoint, SwitchRole
 from viewer_app.bundle_state import Bundle, FreeParameter, RunBundle, SetBundle
 from viewer_app.bundle_tasks import tasks as bundle_tasks
+from viewer_app.figures import ELEMENTS, ChooseFigure, Figure
 from viewer_app.keeping import NAME, Keeper, resume
+from viewer_app.kept_run import KeepRun, kept_of
 from viewer_app.lists import SortBy, Tables
 from viewer_app.loading import open_project
 from viewer_app.looking import Looking, Opacity
@@ -40,6 +43,7 @@ from viewer_app.matching_state import Matching
 from viewer_app.mosaic_actions import Choose, Look, MakeMosaic
 from viewer_app.mosaic_state import METHODS, Mosaic
 from viewer_app.mosaic_tasks import tasks as mosaic_tasks
+from viewer_app.panels.figures import elements_html
 from viewer_app.photo_view import ZoomPhoto, window
 from viewer_app.session import fingerprint, from_json, to_json
 from viewer_app.state import State, Work
@@ -176,6 +180,33 @@ def test_what_the_tabs_show_comes_back_and_what_they_made_is_asked_for_again(fol
     assert len(bundle_tasks(again)) == 1 and again.room(Bundle).asked == run.room(Bundle).asked
 
 
+def test_the_run_kept_beside_and_the_figure_come_back(folder: Path) -> None:
+    fresh = opened(folder)
+    state = update(update(solve_all(fresh), KeepRun()), ChooseFigure(ELEMENTS))
+    text = json.dumps(to_json(state, fresh.block), allow_nan=False)
+    back = from_json(fresh, json.loads(text))
+    one, two = kept_of(state), kept_of(back)
+    assert back.room(Figure) == Figure(ELEMENTS) and set(one) == set(two) == {"perspective", "orthogonal"}
+    for model, solution in one.items():
+        rows = two[model].rows
+        assert len(rows) == len(solution.rows) > 2
+        for a, b in zip(solution.rows, rows, strict=True):
+            assert repr(replace(a, x=None)) == repr(replace(b, x=None)) and (a.x == b.x).all()  # type: ignore[arg-type]
+    assert elements_html(back, lambda *_: "").count("perspective kept") > 6
+    for words in ({"image": "nobody"}, {"solutions": {"perspective": [[[1.0], [], 1, None]]}}, {"solutions": 3}):
+        said = json.loads(text)
+        said["rooms"]["KeptRun"] |= words
+        assert not kept_of(from_json(fresh, said)) and from_json(fresh, said).room(Figure) == Figure(ELEMENTS)
+
+
+def test_the_row_of_a_bundle_waits_for_the_bundle(folder: Path) -> None:
+    """After a restart the orientations are there before the bundle's rows are."""
+    fresh = opened(folder)
+    state = replace(update(fresh, RunBundle()), row=7, follow=False)
+    back = solve_all(from_json(fresh, json.loads(json.dumps(to_json(state, fresh.block)))))
+    assert back.room(Bundle).coming and back.row == 7 > back.last_row
+
+
 def damaged(said: Any, rng: np.random.Generator) -> Any:
     """The same with one thing in it replaced."""
     if isinstance(said, dict) and said and rng.random() < 0.9:
@@ -189,7 +220,7 @@ def damaged(said: Any, rng: np.random.Generator) -> Any:
 
 def test_a_damaged_session_opens_the_project_all_the_same(folder: Path, edited: State) -> None:
     fresh, rng = opened(folder), np.random.default_rng(5)
-    chosen = edited
+    chosen = update(update(solve_all(edited), KeepRun()), ChooseFigure(ELEMENTS))
     for action in CHOSEN:
         chosen = update(chosen, action)
     said = json.loads(json.dumps(to_json(chosen, fresh.block)))

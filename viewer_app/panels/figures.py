@@ -9,7 +9,8 @@ import numpy as np
 
 from ..figures import NAMES, correlation, to_final
 from ..ground import nice
-from ..scene import Sight, sight
+from ..kept_run import kept_of
+from ..scene import Sight, pale, sight
 from ..state import MODELS, Photo, Solution, State
 from ..theme import MODELS as COLOURS
 from ..theme import PERSPECTIVE, RESIDUAL
@@ -25,11 +26,13 @@ def solutions(state: State) -> dict[str, Solution]:
 
 
 def elements_html(state: State, button: Button) -> str:
-    """|element - final| of both models over the rows, logarithmic: six plots on the slider's axis."""
+    """|element - final| of both models and of the run kept beside, over the rows, logarithmic: six plots on the slider's axis."""
     differences = {m: np.abs(to_final(s)) for m, s in solutions(state).items()}
+    differences |= {f"{m} kept": np.abs(to_final(s)) for m, s in kept_of(state).items()}
+    colours = COLOURS | {f"{m} kept": pale(COLOURS[m], state.view.dark) for m in MODELS}
     last = max((len(d) for d in differences.values()), default=1) - 1
     drawn = [
-        plot(f"|{name} − final| {'m' if k < 3 else '°'}", [Curve(m, d[:, k], COLOURS[m]) for m, d in differences.items()],
+        plot(f"|{name} − final| {'m' if k < 3 else '°'}", [Curve(m, d[:, k], colours[m]) for m, d in differences.items()],
              min(state.shown_row, last), last, button)
         for k, name in enumerate(NAMES)
     ]
