@@ -101,12 +101,15 @@ def compose_photos(registration: Registration, photos: Mapping[str, Path], out: 
     options = ComposeOptions(request.gsd, request.resample, request.blend, request.seams, request.gain)
     made = composition(placed, ground, options, partial(_small, files=files) if len(placed) > 1 else None, surface)
     planned = time.perf_counter()
-    notes = _tiles(made, folder, store, request, report)
-    tiled = time.perf_counter()
-    seams = check_seams(made, store.window) if len(placed) > 1 else SeamCheck(None, None, 0)
-    _finish(made, folder, request, registration.unit, _crs(registration, request))
-    _beside(made, out, _crs(registration, request))
-    folder.remove()
+    try:
+        notes = _tiles(made, folder, store, request, report)
+        tiled = time.perf_counter()
+        seams = check_seams(made, store.window) if len(placed) > 1 else SeamCheck(None, None, 0)
+        _finish(made, folder, request, registration.unit, _crs(registration, request))
+        _beside(made, out, _crs(registration, request))
+        folder.remove()
+    finally:
+        folder.release()
     seconds = {"plan": planned - start, "tiles": tiled - planned, "write": time.perf_counter() - tiled}
     return {**_said(made, registration), "crs": _crs(registration, request), **notes, "seam_rms": seams.rms,
             "seams": seams._asdict(), "seconds": seconds, "cpu_seconds": time.process_time() - spent,
@@ -248,7 +251,7 @@ def _tiles(made: Composition, folder: TileFolder, store: PhotoStore, request: Co
             folder.keep(part)
     except OSError as error:
         if no_space(error):
-            raise full_disk(folder.out, sum(1 for _ in folder.folder.glob("*.tile")), len(order)) from None
+            raise full_disk(folder.out, error, sum(1 for _ in folder.folder.glob("*.tile")), len(order)) from None
         raise
     return {"tiles": len(order), "tiles_kept": len(finished & set(order))}
 
@@ -264,7 +267,7 @@ def _finish(made: Composition, folder: TileFolder, request: ComposeRequest, unit
         to_picture(whole, folder.out, f"1 px = {made.canvas.gsd:g} {unit}")
     except OSError as error:
         if no_space(error):
-            raise full_disk(folder.out, len(made.order()), len(made.order())) from None
+            raise full_disk(folder.out, error, len(made.order()), len(made.order())) from None
         raise
 
 

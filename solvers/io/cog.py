@@ -11,13 +11,13 @@ import shutil
 import tempfile
 import zlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import IO, Any, BinaryIO, NamedTuple
 
 import numpy as np
 
-from ..errors import Unsupported
+from ..errors import BadProject, Unsupported
 from ..geometry import Grid
 from . import tiff
 from .files import write_atomic
@@ -144,10 +144,11 @@ def _gdal() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class TileFolder:
-    """The finished tiles of a mosaic, one file each. plan: a word for all that the tiles depend on."""
+    """The finished tiles of a mosaic, one file each. plan: a word for all that the tiles depend on. One run at a time has it."""
 
     out: Path
     plan: str
+    _locks: list[IO[str]] = field(default_factory=list, repr=False, compare=False)
 
     @property
     def folder(self) -> Path:
@@ -155,15 +156,20 @@ class TileFolder:
         return self.out.parent / f".{self.out.name}.parts"
 
     def open(self) -> frozenset[int]:
-        """Make the folder, drop what another plan has left; gives the tiles that are there already, whole."""
+        """Make the folder, drop what another plan has left; gives the tiles that are there already, whole.
+
+        Raises BadProject while another run works in it.
+        """
+        self._lock()
         about = self.folder / "plan"
         try:
             same = about.read_text() == self.plan
         except (OSError, ValueError):
             same = False
         if not same:
-            shutil.rmtree(self.folder, ignore_errors=True)
-            self.folder.mkdir(parents=True, exist_ok=True)
+            for old in self.folder.iterdir():
+                if old.name != "lock":
+                    shutil.rmtree(old, ignore_errors=True) if old.is_dir() else old.unlink(missing_ok=True)
             write_atomic(about, lambda stream: stream.write(self.plan.encode()))
         done = set()
         for path in self.folder.glob("*.tile"):
@@ -172,6 +178,37 @@ class TileFolder:
             else:
                 path.unlink(missing_ok=True)
         return frozenset(done)
+
+    def _lock(self) -> None:
+        """Have the folder alone, as long as this process lives or until `release`."""
+        try:
+            import fcntl
+        except ImportError:  # a system without such locks
+            self.folder.mkdir(parents=True, exist_ok=True)
+            return
+        while True:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            try:
+                handle = open(self.folder / "lock", "a")
+            except FileNotFoundError:  # another run has finished just now
+                continue
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if os.path.samestat(os.fstat(handle.fileno()), os.stat(self.folder / "lock")):
+                    self._locks.append(handle)
+                    return
+            except BlockingIOError:
+                handle.close()
+                raise BadProject(f"{self.out}: another run is making this mosaic now; wait until it has finished, or give this "
+                                 "one another name") from None
+            except FileNotFoundError:
+                pass
+            handle.close()
+
+    def release(self) -> None:
+        """Let other runs have the folder."""
+        while self._locks:
+            self._locks.pop().close()
 
     def keep(self, part: Part) -> None:
         """A finished tile, whole or not at all."""
@@ -436,8 +473,9 @@ def no_space(error: OSError) -> bool:
     return error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
-def full_disk(out: Path, done: int, total: int) -> Unsupported:
+def full_disk(out: Path, error: OSError, done: int, total: int) -> Unsupported:
     """What to say then."""
-    free = shutil.disk_usage(out.parent).free / 2**20
-    return Unsupported(f"{out}: the disk is full ({free:.0f} MB free); {done} of {total} tiles are kept beside it, make room and "
+    free = f"({shutil.disk_usage(out.parent).free / 2**20:.0f} MB free)"
+    why = {errno.EDQUOT: f"the quota is used up {free}", errno.EFBIG: "a file may not grow as large here (a limit of the system)"}
+    return Unsupported(f"{out}: {why.get(error.errno or 0, f'the disk is full {free}')}; {done} of {total} tiles are kept beside it, make room and "
                        "run the same command again to go on with the rest")

@@ -204,8 +204,20 @@ def test_other_photos_or_options_begin_anew(files, tmp_path):
     folder = TileFolder(tmp_path / "x.tif", "one plan")
     folder.open()
     (folder.folder / "0000001.tile").write_bytes(b"{}")
+    folder.release()
     assert TileFolder(tmp_path / "x.tif", "another").open() == frozenset()
     assert not (folder.folder / "0000001.tile").exists()
+
+
+@pytest.mark.skipif(importlib.util.find_spec("fcntl") is None, reason="no such locks on this system")
+def test_two_runs_do_not_make_one_mosaic_at_once(files, whole, tmp_path):
+    one = TileFolder(tmp_path / "m.tif", "a plan")
+    one.open()
+    with pytest.raises(BadProject, match="another run is making"):
+        made(tmp_path / "m.tif", files)
+    one.release()
+    made(tmp_path / "m.tif", files)
+    assert (tmp_path / "m.tif").read_bytes() == whole[0].read_bytes()
 
 
 def test_a_full_disk_is_named_and_nothing_half_written_stays(files, tmp_path, monkeypatch):
