@@ -478,5 +478,5 @@ def full_disk(out: Path, error: OSError, done: int, total: int) -> Unsupported:
     free = f"({shutil.disk_usage(out.parent).free / 2**20:.0f} MB free)"
     why = {errno.EDQUOT: f"the quota is used up {free}", errno.EFBIG: "a file may not grow as large here (a limit of the system)"}
     said = why.get(error.errno or 0, f"the disk is full {free}")
-    return Unsupported(f"{out}: {said}; {done} of {total} tiles are kept beside it, make room and run the same command again to go "
-                       "on with the rest")
+    return Unsupported(f"{out}: {said}; {done} of {total} tiles are kept beside it, make room and run the same command again to "
+                       "go on with the rest")
