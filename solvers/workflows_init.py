@@ -12,12 +12,13 @@ import numpy as np
 from .block import Block, Image, Observations, Prior
 from .cameras import Interior
 from .errors import BadProject
+from .geometry import Exterior, Onboard
 from .io import Ask, ControlList, Exif, assemble, crs, read_control, read_exif, read_motion, read_onboard, read_project
 from .io.exchange import control as lists
 from .io.exchange import project as projects
 from .io.exchange import registry
 from .io.exchange.options import Reading
-from .io.exchange.scene import Exchange
+from .io.exchange.scene import Exchange, Shot
 from .io.sniff import Tell
 from .io.surface import find_geoid, read_surface
 from .io.whereabouts import Mistake, mistaken
@@ -117,8 +118,11 @@ def _beside(tables: Sequence[Path], given: Given, exifs: Sequence[Exif], ask: As
         options = Reading(given.control_crs or given.project_crs, given.angles, given.angle_unit, size, given.mapping,
                           given.pixel_origin, None, ask, tell)
         if name in ("gcp", "gcp-odm"):
-            kind, value = "control", read_control(table, given.mapping, ask, tell)
+            where = given.control_crs or given.project_crs or assemble.home_zone(exifs)
+            kind, value = "control", read_control(table, given.mapping, ask, tell, where)
         else:
+            if name == "geo" and options.crs is None:  # map coordinates without a word are those of the photos' zone
+                options = replace(options, crs=assemble.home_zone(exifs))
             scene = registry.read(table, name, options)
             kind = "control" if len(scene.points) and not scene.oriented else \
                 "calibration" if scene.cameras and not scene.shots else "orientations"
@@ -285,18 +289,32 @@ def _priors(photos: Sequence[Path], exifs: Sequence[Exif], names: Sequence[str],
     frame = projects.frame_of(replace(moved, points=replace(moved.points, names=("",) * len(known), xyz=known,
                                                             sigma=known * np.nan,
                                                             role=("control",) * len(known))))
-    by_name = {s.name.lower(): projects.prior_of(s, chosen, frame) for s in moved.shots}
-    out, used = [], 0
+    shots = {s.name.lower(): s for s in moved.shots}
+    out, used, level = [], 0, 0
     for name, photo, prior in zip(names, photos, priors, strict=True):
-        own = by_name.get(name.lower()) or by_name.get(photo.stem.lower()) or by_name.get(photo.name.lower())
+        shot = next((shots[k] for k in (name.lower(), photo.stem.lower(), photo.name.lower()) if k in shots), None)
+        if shot is not None and _lacks_height(shot) and prior is not None and prior.centre is not None:
+            shot, level = _at_height(shot, prior.centre[2]), level + 1
+        own = None if shot is None else projects.prior_of(shot, chosen, frame)
         used += own is not None
         out.append(own or prior)
     if not used:
         raise BadProject(f"{orientations.path}: none of its images ({', '.join(s.name for s in moved.shots[:5])}) is among the "
-                         f"photos; name "
-                         "the photos it was made for")
+                         "photos, or they have no height there; name the photos it was made for")
+    kept = [f"heights: {level} photos have none in {orientations.path.name}, that of their GPS is taken"] if level else []
     return tuple(out), [*notes, f"priors: {used} of {len(photos)} photos from {orientations.kind} ({orientations.path.name})",
-                        *moved.notes]
+                        *kept, *moved.notes]
+
+
+def _lacks_height(shot: Shot) -> bool:
+    at = shot.exterior
+    return at is not None and bool(np.isfinite(at.centre[:2]).all()) and not np.isfinite(at.centre[2])
+
+
+def _at_height(shot: Shot, z: float) -> Shot:
+    """A shot whose position has no height, at a height [m]."""
+    assert shot.exterior is not None
+    return replace(shot, exterior=Exterior(shot.exterior.m, np.array([*shot.exterior.centre[:2], z])))
 
 
 def _gps(photos: Sequence[Path], exifs: Sequence[Exif], chosen: str, given: Given) -> tuple[tuple[Prior | None, ...], list[str]]:
@@ -306,10 +324,13 @@ def _gps(photos: Sequence[Path], exifs: Sequence[Exif], chosen: str, given: Give
     if not count:
         return priors, []
     onboard = [read_onboard(p) for p in photos]
+    priors = tuple(p if p is None or o.sigma_m is None else _stated(o, p, chosen) for o, p in zip(onboard, priors, strict=True))
+    stated = sum(p is not None and o.sigma_m is not None for o, p in zip(onboard, priors, strict=True))
     datums = {o.datum for o, p in zip(onboard, priors, strict=True) if p is not None}
     datum = next(iter(datums)) if len(datums) == 1 else "unknown"
     levelled = crs.described(chosen).heights == "levelled"
-    sigma = "sigma 5, 5, 10 m"
+    sigma = "sigma by their XMP" if stated == count else \
+        f"sigma by the XMP of {stated}, else 5, 5, 10 m" if stated else "sigma 5, 5, 10 m"
     if given.undulation is None:
         apart = levelled and datum == "ellipsoidal"
         doubt = "; the project's are levelled: give --undulation to bring them together" if apart else ""
@@ -322,6 +343,14 @@ def _gps(photos: Sequence[Path], exifs: Sequence[Exif], chosen: str, given: Give
     return moved, [f"priors: GPS positions of {count} photos, {sigma}; heights: ellipsoidal "
                    f"({'assumed' if datum == 'unknown' else 'stated'}"
                    f"), minus the undulation {n:.2f} m ({source})"]
+
+
+def _stated(o: Onboard, prior: Prior, chosen: str) -> Prior:
+    """The position of a photo's XMP with the standard errors it states (RTK), which EXIF has no room for."""
+    if o.lat is None or o.lon is None or o.height is None:
+        return replace(prior, sigma_m=np.array(o.sigma_m))
+    centre = crs.transformed(np.array([[o.lon, o.lat, o.height]]), "EPSG:4326", chosen)[0]
+    return Prior(centre=np.round(centre, 4), sigma_m=np.array(o.sigma_m))
 
 
 def _undulation(said: float | str, exifs: Sequence[Exif]) -> tuple[float, str]:

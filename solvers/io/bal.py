@@ -7,6 +7,8 @@ pixels from the middle of the photo, y up. https://grail.cs.washington.edu/proje
 from __future__ import annotations
 
 import bz2
+import gzip
+import zlib
 from decimal import Decimal
 from pathlib import Path
 
@@ -19,13 +21,15 @@ from ..geometry import Exterior
 from .exchange import exact
 from .files import MAX_BYTES
 
+LARGEST = 8 * MAX_BYTES
+"""Bytes of the largest problem that is read, unpacked."""
 PER_CAMERA = 9  # angle-axis, t, f, k1, k2
 
 
 def read_bal(path: Path | str) -> Block:
     """The problem as a block: a forward camera for each image, approximate orientations as priors without sigma, and points.
 
-    Pixels get the origin of the project, sigma 1 px. Files may be packed (.bz2). Raises BadTable.
+    Pixels get the origin of the project, sigma 1 px. Files may be packed (bzip2, gzip). Raises BadTable.
     """
     path = Path(path)
     words = _words(path)
@@ -65,16 +69,34 @@ def _prior(row: np.ndarray, t: list[bytes]) -> Prior:
     return Prior(at.centre, np.array(at.angles))
 
 
-def _words(path: Path) -> list[bytes]:
+def packed(head: bytes) -> bool:
+    """Whether a file's beginning is that of bzip2 or gzip."""
+    return head.startswith((b"BZh", b"\x1f\x8b"))
+
+
+def unpacked_head(path: Path, size: int = 4096) -> str:
+    """The beginning of a packed file as text. Raises BadTable when it cannot be unpacked."""
+    return _unpacked(path, size).decode("utf-8", "replace")
+
+
+def _unpacked(path: Path, most: int) -> bytes:
+    """The first `most` bytes of a file, unpacked where it is packed: never more, however much it holds."""
     try:
-        if path.stat().st_size > 8 * MAX_BYTES:
-            raise BadTable(f"{path}: the file is larger than {8 * MAX_BYTES // 2**30} GB; take a smaller problem")
-        data = path.read_bytes()
-        return (bz2.decompress(data) if path.suffix == ".bz2" else data).split()
+        with open(path, "rb") as stream:
+            head = stream.read(3)
+        with (bz2.open(path) if head == b"BZh" else gzip.open(path) if packed(head) else open(path, "rb")) as stream:
+            return stream.read(most)
     except (FileNotFoundError, IsADirectoryError, PermissionError):
         raise BadTable(f"{path}: there is no such file that may be read; give one such as problem-49-7776-pre.txt") from None
-    except (OSError, EOFError):
+    except (OSError, EOFError, zlib.error):
         raise BadTable(f"{path}: it cannot be unpacked; load the file again") from None
+
+
+def _words(path: Path) -> list[bytes]:
+    data = _unpacked(path, LARGEST + 1)
+    if len(data) > LARGEST:
+        raise BadTable(f"{path}: it holds more than {LARGEST // 2**30} GB; take a smaller problem")
+    return data.split()
 
 
 def _numbers(path: Path, words: list[bytes]) -> np.ndarray:

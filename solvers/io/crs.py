@@ -103,6 +103,17 @@ def north_first(text: str) -> bool:
         flat.axis_info[1].direction.lower() in ("east", "west")
 
 
+def all_in_area(xy: np.ndarray, text: str) -> bool:
+    """Whether coordinates (n, 2), east before north, lie where the crs is made for, a tenth of its extent around it included."""
+    crs = _flat(text)
+    place = crs.area_of_use
+    if place is None:
+        return False
+    box = np.array(_transformer("EPSG:4326", text).transform_bounds(*place.bounds)).reshape(2, 2)
+    margin = 0.1 * (box[1] - box[0])
+    return bool(np.isfinite(box).all() and (xy >= box[0] - margin).all() and (xy <= box[1] + margin).all())
+
+
 def transformed(xyz: np.ndarray, source: str, target: str) -> np.ndarray:
     """Coordinates (n, 3) (longitude before latitude, east before north) in another crs; heights stay as they are."""
     if source == target:

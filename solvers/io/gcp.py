@@ -10,30 +10,41 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import BadTable
+from .crs import all_in_area
 from .sniff import DELIMITERS, Sheet, Tell, column_index, mapped_columns, mapping_shown, read_sheet, read_text
-from .tables import Row
+from .tables import NUMBER, Row
 
 FIELDS = ("name", "X", "Y", "Z", "sX", "sY", "sZ", "role", "image", "col", "row", "sigma")
 ALIASES: dict[str, tuple[str, ...]] = {
     "name": ("name", "id", "label", "point", "pointname", "pointid", "gcp", "gcplabel", "gcpname", "gcpid", "nr", "no", "number",
-             "punkt", "punktnr", "pt", "marker", "station"),
-    "X": ("x", "e", "east", "easting", "geox", "xmap", "mapx", "rechtswert", "rw", "ost", "lon", "long", "longitude", "worldx",
-          "xm", "xeast", "xeasting", "xlongitude"),
-    "Y": ("y", "n", "north", "northing", "geoy", "ymap", "mapy", "hochwert", "hw", "nord", "lat", "latitude", "worldy", "ym",
-          "ynorth", "ynorthing", "ylatitude"),
+             "punkt", "punktnr", "punktnummer", "punktname", "pt",
+             "marker", "station", "target", "matricule", "nom", "nombre"),
+    "X": ("x", "e", "east", "easting", "geox", "xmap", "mapx", "rechtswert", "rechts", "rw", "ost", "ostwert",
+          "lon", "long", "longitude", "worldx",
+          "xm", "xeast", "xeasting", "xlongitude", "este"),
+    "Y": ("y", "n", "north", "northing", "geoy", "ymap", "mapy", "hochwert", "hoch", "hw", "nord", "nordwert",
+          "lat", "latitude", "worldy", "ym",
+          "ynorth", "ynorthing", "ylatitude", "norte"),
     "Z": ("z", "h", "height", "elev", "elevation", "geoz", "alt", "altitude", "hoehe", "höhe", "worldz", "zm", "hm", "zaltitude",
-          "zheight"),
+          "zheight", "höhenhn", "ellipsoidalheight",
+          "ellipsoidheight", "orthometricheight", "cota", "altitud"),
     "sX": ("sx", "sigmax", "stdx", "xmapacc", "xacc", "accx", "xaccuracy", "accuracyx", "stde", "sigmae", "sh",
-           "sxy"),
-    "sY": ("sy", "sigmay", "stdy", "ymapacc", "yacc", "accy", "yaccuracy", "accuracyy", "stdn", "sigman"),
-    "sZ": ("sz", "sigmaz", "stdz", "elevacc", "zacc", "accz", "zaccuracy", "accuracyz", "stdh", "sigmah", "sv"),
+           "sxy", "accuracyxy", "accuracyhorizontal", "horizontalaccuracy", "hacc", "eastingrms"),
+    "sY": ("sy", "sigmay", "stdy", "ymapacc", "yacc", "accy", "yaccuracy", "accuracyy", "stdn", "sigman", "northingrms"),
+    "sZ": ("sz", "sigmaz", "stdz", "elevacc", "zacc", "accz", "zaccuracy", "accuracyz", "stdh", "sigmah", "sv",
+           "accuracyvertical", "verticalaccuracy", "vacc", "elevationrms"),
     "role": ("role", "type", "use"),
-    "image": ("image", "photo", "img", "imagename", "filename", "file", "foto", "bild", "picture", "camera"),
-    "col": ("col", "column", "px", "imx", "pixelx", "imagex", "imgx", "u", "xpx", "colpx", "xpixel", "spalte"),
-    "row": ("row", "line", "py", "imy", "pixely", "imagey", "imgy", "v", "ypx", "rowpx", "ypixel", "zeile"),
+    "image": ("image", "photo", "img", "imagename", "filename", "file", "foto", "bild", "picture", "camera", "photoname"),
+    "col": ("col", "column", "px", "imx", "pixelx", "imagex", "imgx", "u", "xpx", "colpx", "xpixel", "spalte", "colonne"),
+    "row": ("row", "line", "py", "imy", "pixely", "imagey", "imgy", "v", "ypx", "rowpx", "ypixel", "zeile", "ligne"),
     "sigma": ("sigma", "sigmapx", "pxsigma", "acc"),
 }
+BOTH = ("sh", "sxy", "accuracyxy", "accuracyhorizontal", "horizontalaccuracy", "hacc")
+"""Headers of one standard error for x and y."""
 DEGREES = ("lon", "long", "longitude", "lat", "latitude", "xlongitude", "ylatitude")
+
+IMAGE = re.compile(r"\.(jpe?g|tiff?|png|dng|arw|cr2|nef)$", re.IGNORECASE)
+"""The ending of a photo's name."""
 
 Ask = Callable[[str], str]
 """Puts a question to a person at a terminal and returns the answer."""
@@ -65,11 +76,13 @@ class ControlList:
     notes: tuple[str, ...] = ()
 
 
-def read_control(path: Path | str, mapping: str | None = None, ask: Ask | None = None, tell: Tell | None = None) -> ControlList:
+def read_control(path: Path | str, mapping: str | None = None, ask: Ask | None = None, tell: Tell | None = None,
+                 crs: str | None = None) -> ControlList:
     """Control points of an ODM gcp_list.txt or of a table with any delimiter, decimal sign, encoding and order of columns.
 
     mapping: "name=ID,X=East,..." by header names or column numbers from 1. ask: how to put a question when the columns are
-    unclear; without it an unclear table is refused. tell: is shown the columns before they are used. Raises BadTable with the
+    unclear; without it an unclear table is refused. tell: is shown the columns before they are used. crs: where it is said, a
+    table name, x, y, z without a header is read in the one order of x and y that lies in its area. Raises BadTable with the
     cure.
     """
     path = Path(path)
@@ -78,7 +91,7 @@ def read_control(path: Path | str, mapping: str | None = None, ask: Ask | None =
     if mapping is None and is_crs(first):
         return _read_odm(path, first)
     sheet = read_sheet(path)
-    columns = _mapped(sheet, mapping) if mapping else _columns(sheet, ask)
+    columns = _mapped(sheet, mapping) if mapping else _by_place(sheet, crs) or _columns(sheet, ask)
     if tell is not None:
         tell(f"{path}: {_shown(sheet, columns)}")
     return _from_sheet(sheet, columns)
@@ -145,6 +158,20 @@ def _key(header: str) -> str:
     return re.sub(r"[^a-z0-9äöüß]", "", re.sub(r"[\[(].*?[\])]", "", header.lower()))
 
 
+def _by_place(sheet: Sheet, crs: str | None) -> dict[str, int] | None:
+    """Columns of a table name, x, y, z without a header, where x and y lie in the area of the crs in one order only."""
+    if sheet.header is not None or crs in (None, "local") or not 4 <= sheet.width <= 6:
+        return None
+    cells = [[sheet.plain(c) for c in sheet.column(i)] for i in range(sheet.width)]
+    if not all(NUMBER.fullmatch(c) for i in (1, 2, 3) for c in cells[i]) or any(IMAGE.search(c) for row in cells for c in row):
+        return None
+    xy = np.array([cells[1], cells[2]], float).T
+    fits = [all_in_area(xy, crs), all_in_area(xy[:, ::-1], crs)]
+    if fits == [False, False] or fits == [True, True]:
+        return None
+    return dict(zip(("name", "X", "Y", "Z") if fits[0] else ("name", "Y", "X", "Z"), range(4), strict=True))
+
+
 def _columns(sheet: Sheet, ask: Ask | None) -> dict[str, int]:
     """Columns found by the header; unclear ones are asked for, or refused when nobody can be asked."""
     found: dict[str, list[int]] = {f: [] for f in FIELDS}
@@ -152,16 +179,19 @@ def _columns(sheet: Sheet, ask: Ask | None) -> dict[str, int]:
     for field in FIELDS:
         found[field] = [i for i, k in enumerate(keys) if k in ALIASES[field]]
     _plain_xy_are_pixels(found, keys)
-    if len(found["sX"]) == 1 and not found["sY"] and keys[found["sX"][0]] in ("sh", "sxy"):
+    _map_before_degrees(found, keys)
+    if len(found["sX"]) == 1 and not found["sY"] and keys[found["sX"][0]] in BOTH:
         found["sY"] = found["sX"]  # one standard error for both
     needed = ["name", "X", "Y", "Z"] + (["image", "col", "row"] if any(found[f] for f in ("image", "col", "row")) else [])
     unclear = [f for f in needed if len(found[f]) != 1]
     if unclear and ask is None:
         field = unclear[0]
         why = "none" if not found[field] else " and ".join(f"'{(sheet.header or ())[i]}'" for i in found[field])
-        why = f"for {field} there is {why}" if sheet.header else "there is no header line"
+        why = f"for {field} there is {why}" if sheet.header else \
+            "there is no header line, nor a --crs in whose area x and y lie in one order only"
         raise BadTable(f"{sheet.path} line {sheet.lines[0][0]}: the columns are unclear ({why}); say which they are with "
-                       f"--map \"{_example(sheet, found)}\" by header name or column number")
+                       f"--map \"{_example(sheet, found)}\" by header name or column number"
+                       f"{'' if sheet.header else ' (a PIX4Dmatic list has a format of its own, gcp-pix4dmatic)'}")
     for field in unclear if ask is not None else []:
         assert ask is not None
         found[field] = [_asked(sheet, field, ask)]
@@ -174,6 +204,18 @@ def _plain_xy_are_pixels(found: dict[str, list[int]], keys: Sequence[str]) -> No
         if len(found[field]) > 1 and not found[pixel] and found["image"] and plain in keys:
             found[pixel] = [keys.index(plain)]
             found[field].remove(keys.index(plain))
+
+
+def _map_before_degrees(found: dict[str, list[int]], keys: Sequence[str]) -> None:
+    """A receiver's table has the same place on the map and in degrees: the map is read, with the height that goes with it."""
+    for field in ("X", "Y"):
+        plain = [i for i in found[field] if keys[i] not in DEGREES]
+        if len(plain) == 1 and len(found[field]) == 2:
+            found[field] = plain
+    if len(found["Z"]) == 2:
+        above = [i for i in found["Z"] if not keys[i].startswith("ellipsoid")]
+        degrees = all(len(found[k]) == 1 and keys[found[k][0]] in DEGREES for k in "XY")
+        found["Z"] = [i for i in found["Z"] if i not in above] if degrees else above if len(above) == 1 else found["Z"]
 
 
 def _asked(sheet: Sheet, field: str, ask: Ask) -> int:

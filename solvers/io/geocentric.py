@@ -24,12 +24,12 @@ def axes_at(crs: str, xyz: np.ndarray) -> np.ndarray:
     """(3, 3) rows are grid (or true) east, north and up at a place of a crs, in geocentric axes; identity for "local"."""
     if crs == "local":
         return np.eye(3)
-    to, step = _transformer(crs), 1e-5 if is_geographic(crs) else 1.0
+    to, step = _transformer(crs), 1e-3 if is_geographic(crs) else 100.0  # differences over 200 m: 1e-11 rad
     x, y, z = map(float, xyz)
     at = np.array(to.transform(x, y, z))
-    up = np.array(to.transform(x, y, z + 1.0)) - at
+    up = np.array(to.transform(x, y, z + 1000.0)) - at
     up /= np.linalg.norm(up)
-    east = np.array(to.transform(x + step, y, z)) - at
+    east = np.array(to.transform(x + step, y, z)) - np.array(to.transform(x - step, y, z))  # about the place
     east -= up * (east @ up)
     east /= np.linalg.norm(east)
     return np.stack([east, np.cross(up, east), up])

@@ -38,10 +38,11 @@ class Sheet:
         """Rows with the mapped columns under their own names, decimal points in numbers."""
         out = []
         for line, cells in self.lines:
-            out.append(Row(self.path, line, {k: self._number(cells[i]) for k, i in columns.items()}))
+            out.append(Row(self.path, line, {k: self.plain(cells[i]) for k, i in columns.items()}))
         return out
 
-    def _number(self, cell: str) -> str:
+    def plain(self, cell: str) -> str:
+        """A cell with a decimal point, where it is a number."""
         plain = _ungrouped(cell)
         if plain != cell:
             return plain

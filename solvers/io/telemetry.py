@@ -16,13 +16,15 @@ from .metadata import clock
 from .sniff import Tell, mapping_shown
 
 ALIASES = {
-    "image": ("image", "img", "photo", "file", "filename", "name", "label"),
+    "image": ("image", "imagename", "img", "photo", "photoname", "photoid", "file", "filename", "name", "label"),
     "time": ("time", "timestamp", "t", "datetime", "utc", "seconds", "gpstime", "timeus", "timems"),
-    "lat": ("lat", "latitude", "gpslatitude", "y"), "lon": ("lon", "lng", "long", "longitude", "gpslongitude", "x"),
-    "height": ("height", "alt", "altitude", "elevation", "h", "z", "heightm", "altm", "altitudem"),
+    "lat": ("lat", "latitude", "gpslatitude", "latitudedeg", "y", "north", "northing", "ynorth", "ynorthing"),
+    "lon": ("lon", "lng", "long", "longitude", "gpslongitude", "longitudedeg", "x", "east", "easting", "xeast", "xeasting"),
+    "height": ("height", "alt", "altitude", "elevation", "h", "z", "heightm", "altm", "altitudem", "zaltitude"),
     "yaw": ("yaw", "heading", "yawdeg", "hdg"), "pitch": ("pitch", "pitchdeg"), "roll": ("roll", "rolldeg"),
     "trigger": ("trigger", "event", "cam", "camera", "shutter"),
-    "hacc": ("hacc", "horizontalaccuracy", "sxy"), "vacc": ("vacc", "verticalaccuracy", "sz"),
+    "hacc": ("hacc", "horizontalaccuracy", "accuracyhorizontalm", "accuracyhorizontal", "horizontalaccuracym", "sxy"),
+    "vacc": ("vacc", "verticalaccuracy", "accuracyverticalm", "accuracyvertical", "verticalaccuracym", "sz"),
 }
 """Column names that are understood, small letters and digits only."""
 SCALE = {"timeus": 1e-6, "timems": 1e-3}
@@ -60,14 +62,14 @@ def read_mrk(path: Path | str, images: Sequence[str], ppk: bool = False) -> list
             for name, (lat, lon, h, s, t) in zip(images, rows, strict=True)]
 
 
-def read_positions(path: Path | str, tell: Tell | None = None) -> list[Onboard]:
+def read_positions(path: Path | str, tell: Tell | None = None, crs: str | None = None) -> list[Onboard]:
     """One line per photo: a table with named columns (image, lat, lon, height, yaw, pitch, roll ...), or OpenDroneMap's geo.txt.
 
-    Latitudes and longitudes may be degrees or degrees, minutes, seconds. Yaw, pitch, roll are of a nadir mount. tell:
-    is shown the columns before they are used. Raises BadTable.
+    Latitudes and longitudes may be degrees or degrees, minutes, seconds. Yaw, pitch, roll are of a nadir mount. crs:
+    of columns x and y that are map coordinates. tell: is shown the columns before they are used. Raises BadTable.
     """
     path = Path(path)
-    lines = _lines(path)
+    lines = _lines(path, header=True)
     if not lines:
         raise BadTable(f"{path}: the table is empty; give a header and one line per photo")
     first = lines[0][1][0]
@@ -76,7 +78,7 @@ def read_positions(path: Path | str, tell: Tell | None = None) -> list[Onboard]:
     header, rows = _named(path, lines, ("image", "lat", "lon"))
     if tell is not None and rows:
         tell(f"{path}: {mapping_shown(header, _cells(lines[0][1][0]), rows[0][1])}")
-    return [_onboard(path, line, header, cells) for line, cells in rows]
+    return [_onboard(path, line, header, cells, crs) for line, cells in rows]
 
 
 def read_flight_log(path: Path | str) -> FlightLog:
@@ -102,11 +104,14 @@ def read_flight_log(path: Path | str) -> FlightLog:
     return FlightLog(path.name, a[:, 0] * SCALE.get(_key(name), 1.0), a[:, 1:4], a[:, 4:7], a[:, 7] > 0)
 
 
-def _onboard(path: Path, line: int, header: dict[str, int], cells: list[str]) -> Onboard:
+def _onboard(path: Path, line: int, header: dict[str, int], cells: list[str], crs: str | None) -> Onboard:
     lon, lat, height, yaw, pitch, roll, hacc, vacc = (
         _angle(path, line, cells, header, k) for k in ("lon", "lat", "height", "yaw", "pitch", "roll", "hacc", "vacc"))
+    if max(abs(lat), abs(lon)) > 360 and crs not in (None, "local") and not is_geographic(str(crs)):
+        lon, lat = transformed(np.array([[lon, lat, 0.0]]), crs, "EPSG:4326")[0, :2]
     if not (abs(lat) <= 90 and abs(lon) <= 180):
-        raise BadTable(f"{path} line {line}: lat {lat:g}, lon {lon:g} is no place on earth; check the order of the columns")
+        raise BadTable(f"{path} line {line}: lat {lat:g}, lon {lon:g} is no place on earth; check the order of the columns, or "
+                       "give the crs of map coordinates with --crs EPSG:CODE")
     attitude = (yaw, pitch, roll) if np.isfinite([yaw, pitch, roll]).all() else None
     sigma = (hacc, hacc, vacc if np.isfinite(vacc) else 2 * hacc) if np.isfinite(hacc) and hacc > 0 else None
     time = clock(cells[header["time"]]) if "time" in header else None
@@ -138,10 +143,23 @@ def _geo_txt(path: Path, crs: str, lines: list[tuple[int, list[str]]]) -> list[O
     return out
 
 
-def _lines(path: Path) -> list[tuple[int, list[str]]]:
-    """Number and text of every line that is neither empty nor a comment."""
-    text = decode_utf8(path, read_bytes(path, "correct the path"))
-    return [(n, [line]) for n, line in enumerate(text.splitlines(), 1) if line.strip() and not line.lstrip().startswith("#")]
+def _lines(path: Path, header: bool = False) -> list[tuple[int, list[str]]]:
+    """Number and text of every line that is neither empty nor a comment; header: a comment may be the header of what follows."""
+    data = read_bytes(path, "correct the path")
+    try:
+        text = decode_utf8(path, data)
+    except BadTable:
+        if b"\0" in data:
+            raise
+        text = data.decode("cp1252", "replace")
+    lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip()]
+    content = [(n, [line]) for n, line in lines if not line.lstrip().startswith("#")]
+    said = [(n, line.lstrip("# \t")) for n, line in lines if line.lstrip().startswith("#")]
+    if header and content:
+        width = len(_cells(content[0][1][0]))
+        content[:0] = [(n, [line]) for n, line in said if n < content[0][0] and len(_cells(line)) == width
+                       and {_key(c) for c in _cells(line)} & set(ALIASES["lat"])][-1:]
+    return content
 
 
 def _cells(text: str) -> list[str]:
@@ -178,7 +196,7 @@ def _key(name: str) -> str:
 
 def _strict(path: Path, line: int, cell: str) -> float:
     try:
-        return float(cell)
+        return float(cell.replace(",", "."))  # a comma is a decimal sign here: it separates no cells of this table
     except ValueError:
         raise BadTable(f"{path} line {line}: '{cell}' is no number; correct it") from None
 

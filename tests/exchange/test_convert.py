@@ -236,7 +236,10 @@ def test_columns_are_only_shown(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert main(["init", str(tmp_path / "g.csv")]) == 2 and "-o PROJECT" in capsys.readouterr().err
     (tmp_path / "n.txt").write_text("A 684210.5 5334100.25 412\nB 684310.5 5334180 418\n")
     assert main(["convert", str(tmp_path / "n.txt"), "--show-mapping"]) == 1
-    assert "no header line); say which they are with --map" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "there is no header line" in told and "say which they are with --map" in told
+    assert main(["convert", str(tmp_path / "n.txt"), "--show-mapping", "--crs", "EPSG:32632"]) == 0  # only one order lies in it
+    assert "name = column 1 (A), X = column 2 (684210.5), Y = column 3" in capsys.readouterr().out
     assert sorted(p for p in tmp_path.iterdir() if p.name != "n.txt") == before
 
 

@@ -67,6 +67,21 @@ def test_gps_priors_are_projected(tmp_path: Path) -> None:
     assert np.hypot(*(other.centre - prior.centre)[:2]) == pytest.approx(truth * k, rel=2e-5)
 
 
+def test_positions_with_the_accuracy_that_xmp_states(tmp_path: Path) -> None:
+    """An RTK photo's prior is as sharp as its XMP says; one without keeps what a navigation receiver has."""
+    from tests.io.test_metadata import DJI, RTK
+    from tests.io.test_metadata import photo as flown
+
+    flown(tmp_path / "a.jpg", DJI.format(extra=RTK))
+    flown(tmp_path / "b.jpg", DJI.format(extra=RTK.replace("RtkStd", "Other").replace("RtkFlag", "Flag")))
+    made = init_project([tmp_path / "a.jpg", tmp_path / "b.jpg"], tmp_path / "p", pixel_um=3.0, c_mm=9.0)
+    sharp, plain = (i.prior for i in made.block.images)
+    assert sharp is not None and plain is not None and sharp.sigma_m is not None and plain.sigma_m is not None
+    assert sharp.sigma_m.tolist() == [0.011, 0.012, 0.025] and plain.sigma_m.tolist() == [5, 5, 10]
+    assert sharp.centre is not None and sharp.centre[2] == 512.31
+    assert any("sigma by the XMP of 1, else 5, 5, 10 m" in n for n in made.notes)
+
+
 def test_a_list_in_degrees_goes_to_utm(tmp_path: Path) -> None:
     photo(tmp_path / "b.jpg")
     (tmp_path / "g.csv").write_text("name,lat,lon,h\nA,48.1,11.5,500\nB,48.2,11.6,510\n")

@@ -8,6 +8,7 @@ K1..K3 distort ideal coordinates; P1 and P2 are the other way round than OpenCV'
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from xml.sax.saxutils import escape
 
@@ -19,7 +20,7 @@ from ...errors import BadTable, PhotogrammetryError, Unsupported
 from ...geometry import Exterior
 from ..crs import short_crs, utm_zone
 from ..files import write_text
-from ..geocentric import from_geocentric
+from ..geocentric import from_geocentric, to_geocentric
 from .conventions import AngleOrder, AngleUnit, CameraAxes, Position, RotationDirection, exterior_as, exterior_from, rotation_from
 from .options import NOTHING, Reading
 from .scene import Camera, Exchange, Shot, label_of, named, observations_from, points_from
@@ -41,7 +42,7 @@ def read(path: Path, options: Reading = NOTHING) -> Exchange:
     root = read_xml(path)
     block = root.get("Block")
     srs = {s.get("Id").text(): s.get("Definition").text() for s in root.all("SpatialReferenceSystems", "SRS")}
-    crs, where = _crs(block, srs, options)
+    crs, where, frame = _crs(block, srs, options)
     cameras: dict[str, Camera] = {}
     photos: list[tuple[Xml, str, np.ndarray]] = []
     for n, group in enumerate(block.all("Photogroups", "Photogroup"), 1):
@@ -50,13 +51,13 @@ def read(path: Path, options: Reading = NOTHING) -> Exchange:
         turn = _orientation(group)
         photos += [(photo, name, turn) for photo in group.all("Photo")]
     if where == GEOCENTRIC:
-        crs = crs or _zone(photos)
+        crs = crs or _zone(photos, frame)
     labels = named([p.get("ImagePath").text() for p, _, _ in photos])
     shots = []
     for (photo, camera, turn), (name, file) in zip(photos, labels, strict=True):
         at = _pose(photo, turn)
         if at is not None and where == GEOCENTRIC and crs is not None:
-            at = from_geocentric(at, crs)
+            at = from_geocentric(_of_frame(at, frame), crs)
         shots.append(Shot(name, camera, at, file))
     number = {p.get("Id").text(): n for n, (p, _, _) in enumerate(photos) if p.maybe("Id") is not None}
     names, xyz, sigma, role, rows = [], [], [], [], []
@@ -69,7 +70,7 @@ def read(path: Path, options: Reading = NOTHING) -> Exchange:
         place = point.maybe("Position")
         at3 = np.full(3, np.nan) if place is None else np.array([place.number(k) for k in "xyz"])
         if where == GEOCENTRIC and crs is not None and np.isfinite(at3).all():
-            at3 = from_geocentric(Exterior(np.eye(3), at3), crs).centre
+            at3 = from_geocentric(_of_frame(Exterior(np.eye(3), at3), frame), crs).centre
         xyz.append(at3)
         h, v = point.number("HorizontalAccuracy", default=np.nan), point.number("VerticalAccuracy", default=np.nan)
         sigma.append([h, h, v])
@@ -82,34 +83,47 @@ def read(path: Path, options: Reading = NOTHING) -> Exchange:
                 raise m.error(f"is in photo {photo}, which the file does not have")
             rows.append((number[photo], n, m.number("x"), m.number("y"), np.nan))
     return Exchange("BlocksExchange", path, crs, cameras, tuple(shots), points_from(path, names, xyz, sigma, role),
-                    observations_from(rows), _notes(root, where, crs))
+                    observations_from(rows), _notes(root, where, crs, frame))
 
 
-def _notes(root: Xml, where: str | None, crs: str | None) -> tuple[str, ...]:
-    blocks = len(root.all("Block"))
+def _notes(root: Xml, where: str | None, crs: str | None, frame: Exterior | None) -> tuple[str, ...]:
+    blocks, what = len(root.all("Block")), "geocentric coordinates" if frame is None else "local frame (east, north, up)"
     return (*((f"the first of {blocks} blocks is read",) if blocks > 1 else ()),
-            *((f"geocentric coordinates, converted to {crs}",) if where == GEOCENTRIC else ()))
+            *((f"{what}, converted to {crs}",) if where == GEOCENTRIC else ()))
 
 
-def _crs(block: Xml, srs: dict[str, str], options: Reading) -> tuple[str | None, str | None]:
-    """The crs for our values and the one in the file."""
+def _crs(block: Xml, srs: dict[str, str], options: Reading) -> tuple[str | None, str | None, Exterior | None]:
+    """The crs for our values, the one in the file, and the frame (in geocentric axes) of a file in local east, north, up."""
     said = block.maybe("SRSId")
     if said is None:
-        return options.crs or "local", "local"
+        return options.crs or "local", "local", None
     if said.text() not in srs:
         raise said.error(f"is {said.text()}, and there is no such <SRS>")
+    text = srs[said.text()]
+    enu = re.fullmatch(r"ENU:\s*([+-]?[\d.]+)\s*,\s*([+-]?[\d.]+)", text)
+    if enu:
+        at = Exterior(np.eye(3), np.array([float(enu[2]), float(enu[1]), 0.0]))  # latitude before longitude
+        return options.crs, GEOCENTRIC, to_geocentric(at, "EPSG:4326")
+    if text.upper().startswith(("LOCAL_CS", "ENGCRS")) or text.strip().lower() == "local":
+        return options.crs or "local", "local", None
     try:
-        crs = short_crs(srs[said.text()])
+        crs = short_crs(text, metric=False)
     except PhotogrammetryError as error:
         raise said.error(str(error)) from None
-    return (options.crs, crs) if crs == GEOCENTRIC else (crs, crs)
+    return (options.crs, crs, None) if crs == GEOCENTRIC else (crs, crs, None)
 
 
-def _zone(photos: list[tuple[Xml, str, np.ndarray]]) -> str:
+def _of_frame(at: Exterior, frame: Exterior | None) -> Exterior:
+    """An orientation in geocentric coordinates of one in the frame."""
+    return at if frame is None else Exterior(at.m @ frame.m, frame.centre + frame.m.T @ at.centre)
+
+
+def _zone(photos: list[tuple[Xml, str, np.ndarray]], frame: Exterior | None) -> str:
     for photo, _, _ in photos:
         centre = photo.maybe("Pose", "Center")
         if centre is not None:
-            lon, lat, _ = from_geocentric(Exterior(np.eye(3), np.array([centre.number(k) for k in "xyz"])), "EPSG:4326").centre
+            at = _of_frame(Exterior(np.eye(3), np.array([centre.number(k) for k in "xyz"])), frame)
+            lon, lat, _ = from_geocentric(at, "EPSG:4326").centre
             return utm_zone(float(lat), float(lon))
     return "local"
 

@@ -43,9 +43,10 @@ def _size(path: Path, options: Reading) -> tuple[int, int]:
 
 def looks_like_opencv(head: str) -> bool:
     """Whether a text's beginning is OpenCV's FileStorage or a JSON with a camera matrix."""
-    known = any(re.search(rf"[\"<\s]?{name}\b", head) for name in MATRIX_NAMES[:4])
+    known = any(re.search(rf"[\"<\s]?{name}\b", head) for name in MATRIX_NAMES[:4]) or \
+        ('"mtx"' in head and '"dist"' in head)
     return known and (head.startswith("%YAML") or "<opencv_storage>" in head or "opencv-matrix" in head
-                      or head.lstrip().startswith("{"))
+                      or head.lstrip().startswith("{") or re.search(r"^camera_matrix:\s*$", head, re.MULTILINE) is not None)
 
 
 def read_opencv(path: Path, options: Reading = NOTHING) -> Exchange:
@@ -78,13 +79,22 @@ def _json(path: Path) -> dict[str, Any]:
             "size": (w, h) if w and h else None}
 
 
+def _tagged(text: str) -> str:
+    """YAML as OpenCV writes it; ROS's camera_info lacks the first line and the word that a mapping is a matrix."""
+    if text.startswith("%YAML") or text.lstrip().startswith(("<", "{")):
+        return text
+    text = re.sub(r"^(\w+):[ \t]*\n(\s+)rows:", r"\1: !!opencv-matrix\n\2rows:", text, flags=re.MULTILINE)
+    text = re.sub(r"^(\s+)(data:)", r"\1dt: d\n\1\2", text, flags=re.MULTILINE) if "dt: d" not in text else text
+    return "%YAML:1.0\n---\n" + text
+
+
 def _storage(path: Path) -> dict[str, Any]:
     """By OpenCV's own reader, from memory."""
     import cv2
 
     data = read_bytes(path, AGAIN)
     try:
-        storage = cv2.FileStorage(data.decode("utf-8", "strict"), cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+        storage = cv2.FileStorage(_tagged(data.decode("utf-8-sig", "strict")), cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
 
         def first(names: tuple[str, ...]) -> Any:
             return next((storage.getNode(n) for n in names if not storage.getNode(n).empty()), None)
@@ -148,26 +158,42 @@ def looks_like_australis(head: str) -> bool:
 def read_australis(path: Path, options: Reading = NOTHING) -> Exchange:
     """A report of Australis or iWitness: C, XP, YP [mm], K1..K3, P1, P2, B1, B2, sensor size and pixel size. Raises BadTable."""
     text = read_text(path)
-    values = {}
-    for name, pattern in AUSTRALIS.items():
-        found = re.search(rf"^\s*(?:{pattern})\s*[:=]?\s*({NUMBER})(?:\s|$)", text, re.MULTILINE)
-        if found:
-            values[name] = float(found[1])
+    values = _australis_values(text)
     missing = [k.upper() for k in ("c", "xp", "yp") if k not in values]
     if missing:
         raise BadTable(f"{path}: {missing[0]} is missing; write lines such as C 28.9, XP 0.05, YP -0.02, K1 1.2e-4")
-    size = re.search(r"(?:sensor size|image size|resolution)\D*?(\d+)\D+?(\d+)", text, re.IGNORECASE)
-    pixel = re.search(rf"pixel size\D*?({NUMBER})(?:\D+?({NUMBER}))?", text, re.IGNORECASE)
-    width, height = (int(size[1]), int(size[2])) if size else _size(path, options)
-    if pixel is None:
+    size, pitch = _australis_sensor(text)
+    width, height = options.size or size or _size(path, options)
+    if pitch is None:
         raise BadTable(f"{path}: the pixel size is missing; write a line such as: Pixel size 0.006 mm")
-    pitch = (float(pixel[1]), float(pixel[2] or pixel[1]))
     if max(pitch) > 0.5:  # micrometres
         pitch = (pitch[0] * 1e-3, pitch[1] * 1e-3)
     try:
         return _exchange("Australis", path, from_australis(values, width, height, pitch))
     except PhotogrammetryError as error:
         raise BadTable(f"{path}: {error}; {AGAIN}") from None
+
+
+def _australis_values(text: str) -> dict[str, float]:
+    """The parameters by name. In a table of initial value, adjustment and final value the final one is meant."""
+    rows = {}
+    for name, pattern in AUSTRALIS.items():
+        found = re.search(rf"^\s*(?:{pattern})\s*[:=]?((?:[ \t]*{NUMBER}(?=\s|$))+)", text, re.MULTILINE)
+        if found:
+            rows[name] = [float(v) for v in found[1].split()]
+    adjusted = [len(v) >= 3 and np.isclose(v[0] + v[1], v[2], rtol=1e-4, atol=1e-9) and v[2] != 0 for v in rows.values()]
+    return {k: v[2] if any(adjusted) and len(v) >= 3 else v[0] for k, v in rows.items()}
+
+
+def _australis_sensor(text: str) -> tuple[tuple[int, int] | None, tuple[float, float] | None]:
+    """Width and height [px] and the pixel size as written, None each where not found: in one line, or in rows H and V."""
+    table = [re.search(rf"^\s*{k}\s*[:=]?\s*(\d+)\s+({NUMBER})\s*$", text, re.MULTILINE) for k in "HV"]
+    if table[0] and table[1]:
+        return (int(table[0][1]), int(table[1][1])), (float(table[0][2]), float(table[1][2]))
+    whole = r"(?<![\d.,])(\d{2,6})(?![\d.,]*\d)"  # not the millimetres of a sensor
+    size = re.search(rf"(?:sensor size|image size|resolution|pixels)[^\d\n]*?{whole}[^\d\n]+?{whole}", text, re.IGNORECASE)
+    pixel = re.search(rf"pixel size[^\d\n]*?({NUMBER})(?:[^\d\n]+?({NUMBER}))?", text, re.IGNORECASE)
+    return ((int(size[1]), int(size[2])) if size else None), ((float(pixel[1]), float(pixel[2] or pixel[1])) if pixel else None)
 
 
 def write_australis(camera: Camera) -> tuple[str, tuple[str, ...]]:

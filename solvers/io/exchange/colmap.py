@@ -314,8 +314,9 @@ def _parts(scene: Exchange, binary: bool = False) -> tuple[tuple[dict[int, tuple
     for i, (shot, label) in enumerate(zip(scene.shots, labels_of(scene.shots), strict=True)):
         if not shot.oriented or shot.exterior is None or shot.camera is None:
             continue
-        if any(c.isspace() for c in label):
-            raise BadTable(f"image '{label}': COLMAP takes no blanks in names; rename the photo")
+        if not binary and any(c.isspace() for c in label):
+            raise BadTable(f"image '{label}': COLMAP's text files take no blanks in names; write --to colmap-bin, or rename the "
+                           "photo")
         rows = [r for r in np.flatnonzero(of.image == i) if int(of.point[r]) in number]
         ids = np.array([number[int(of.point[r])] for r in rows], np.int64)
         for k, p in enumerate(ids):

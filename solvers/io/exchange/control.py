@@ -27,7 +27,7 @@ from .structure import read_json
 
 def read_list(path: Path, options: Reading = NOTHING) -> Exchange:
     """A gcp_list.txt or a table with any delimiter, decimal sign and order of columns; how it was read is in the notes."""
-    return of_control(read_control(path, options.mapping, options.ask, options.tell), options)
+    return of_control(read_control(path, options.mapping, options.ask, options.tell, options.crs), options)
 
 
 def of_control(control: ControlList, options: Reading = NOTHING) -> Exchange:

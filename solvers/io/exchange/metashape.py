@@ -180,7 +180,7 @@ def _markers(chunk: Xml, cameras: dict[str, int], options: Reading) -> tuple[Poi
         names.append(m.attribute("label"))
         has = reference is not None and all(k in reference.element.attrib for k in "xyz")
         xyz.append([reference.attribute_number(k) if has and reference else np.nan for k in "xyz"])
-        sigma.append([reference.attribute_number(k, np.nan) if has and reference else np.nan for k in ("sx", "sy", "sz")])
+        sigma.append(_accuracy(reference) if has and reference else [np.nan] * 3)
         enabled = has and reference is not None and reference.element.attrib.get("enabled", "true").lower() in ("true", "1")
         role.append("control" if enabled else "check" if has else "tie")
     index = {m.attribute("id"): n for n, m in enumerate(markers)}
@@ -196,6 +196,13 @@ def _markers(chunk: Xml, cameras: dict[str, int], options: Reading) -> tuple[Poi
             rows.append((cameras[place.attribute("camera_id")], index[number], place.attribute_number("x") - CORNER,
                          place.attribute_number("y") - CORNER, np.nan))
     return points_from(chunk.path, names, np.array(xyz), np.array(sigma), role), observations_from(rows), predicted
+
+
+def _accuracy(reference: Xml) -> list[float]:
+    """Standard errors of x, y, z: one of each, one of x and y (sxy), or one of all (sxyz)."""
+    of_all = reference.attribute_number("sxyz", np.nan)
+    level = reference.attribute_number("sxy", of_all)
+    return [reference.attribute_number(k, default) for k, default in (("sx", level), ("sy", level), ("sz", of_all))]
 
 
 def calibration_text(camera: Camera) -> tuple[str, tuple[str, ...]]:

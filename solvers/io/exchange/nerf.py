@@ -1,6 +1,7 @@
 """nerfstudio's transforms.json (and instant-ngp's): camera-to-object matrices, x right, y up, z back, OpenCV distortion.
 
-applied_transform (3 x 4), where present, was applied to the object frame after the poses were computed and is undone.
+applied_transform (3 x 4) and after it applied_scale, where present, were applied to the object frame once the poses were
+computed, and are undone.
 Principal points count from the corner. References: docs.nerf.studio, "Data conventions"; instant-ngp, "NeRF dataset tips".
 """
 
@@ -36,7 +37,9 @@ def read(path: Path, options: Reading = NOTHING) -> Exchange:
     root = read_json(path)
     if root.maybe("camera_model") and root.get("camera_model").text() not in ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE"):
         raise Unsupported(f"{path}: its camera model is {root.get('camera_model').text()}; only OPENCV and PINHOLE are read")
-    undo = _undo(root)
+    undo, scale = _undo(root), root.number_or("applied_scale", 1.0)
+    if scale <= 0:
+        raise root.get("applied_scale").error("is not positive")
     frames = root.get("frames").entries()
     cameras: dict[Camera, str] = {}
     labels, found = [], []
@@ -46,7 +49,7 @@ def read(path: Path, options: Reading = NOTHING) -> Exchange:
             at = exterior_from(m[:, :3], m[:, 3], *CONVENTION)
         except BadTable as error:
             raise frame.error(f"{error}") from None
-        at = Exterior(at.m @ undo[0], undo[0].T @ (at.centre - undo[1]))
+        at = Exterior(at.m @ undo[0], undo[0].T @ (at.centre / scale - undo[1]))
         camera = _camera(root, frame, options)
         labels.append(frame.get("file_path").text())
         found.append((cameras.setdefault(camera, f"camera-{len(cameras) + 1}"), at))
@@ -61,8 +64,6 @@ def _undo(root: Item) -> tuple[np.ndarray, np.ndarray]:
     if said is None:
         return np.eye(3), np.zeros(3)
     a = said.numbers((12, 16))[:12].reshape(3, 4)
-    if root.number_or("applied_scale", 1.0) != 1.0:
-        raise Unsupported(f"{root.path}: applied_scale is not 1; export the poses without scaling them")
     if np.abs(a[:, :3] @ a[:, :3].T - np.eye(3)).max() > 1e-6 or np.linalg.det(a[:, :3]) < 0:
         raise said.error("is no rotation with a shift")
     return a[:, :3], a[:, 3]

@@ -16,7 +16,7 @@ import numpy as np
 from ...errors import BadTable
 from ...geometry import Exterior
 from ..files import write_text
-from ..gcp import ALIASES
+from ..gcp import ALIASES, DEGREES
 from ..sniff import Sheet, mapped_columns, mapping_shown, read_sheet, read_text
 from ..tables import NUMBER
 from .conventions import (
@@ -34,7 +34,8 @@ from .options import NOTHING, ORDERS, UNITS, Reading
 from .scene import Exchange, Shot, labels_of, named
 from .structure import Line, lines_of
 
-NAMES = ("photoid", "label", "imagename", "image", "photo", "filename", "file", "name", "id", "camera", "img", "bild")
+NAMES = ("photoid", "label", "imagename", "image", "photo", "filename", "file", "name", "id", "camera", "img", "bild",
+         "photoname", "imageid")
 ANGLES = {"omega": ("omega", "om", "w", "omegadeg", "omegagon"), "phi": ("phi", "ph", "p", "phideg", "phigon"),
           "kappa": ("kappa", "ka", "k", "kap", "kappadeg", "kappagon")}
 SIGMAS = {"sX": (*ALIASES["sX"], "xacc", "accuracyx", "xaccuracy"), "sY": (*ALIASES["sY"], "accuracyy", "yaccuracy"),
@@ -86,7 +87,7 @@ def _unique(path: Path, shots: list[Shot], rows: Sequence) -> tuple[Shot, ...]:
 
 
 def _key(header: str) -> str:
-    return re.sub(r"[^a-z0-9]", "", re.sub(r"[\[(].*?[\])]", "", header.lower()))
+    return re.sub(r"[^a-z0-9äöüß]", "", re.sub(r"[\[(].*?[\])]", "", header.lower()))
 
 
 def _header(path: Path, sheet: Sheet) -> tuple[tuple[str, ...] | None, AngleUnit | None]:
@@ -95,9 +96,11 @@ def _header(path: Path, sheet: Sheet) -> tuple[tuple[str, ...] | None, AngleUnit
     comments = [line.lstrip("#% ").strip() for line in read_text(path).splitlines() if line.lstrip().startswith(("#", "%"))]
     if header is None or not any(_key(h) in ANGLES["kappa"] for h in header):
         for text in comments:
-            cells = tuple(c.strip() for c in re.split(r"[,;\t]|\s{1,}", text) if c.strip())
-            if len(cells) == sheet.width and any(_key(c) in ANGLES["kappa"] for c in cells):
-                header = cells
+            for separator in (r"[,;\t]", r"[,;\t]|\s+"):
+                cells = tuple(c.strip() for c in re.split(separator, text) if c.strip())
+                if len(cells) == sheet.width and any(_key(c) in ANGLES["kappa"] for c in cells):
+                    header = cells
+                    break
     words = " ".join([*(header or ()), *comments]).lower()
     unit = (AngleUnit.GON if re.search(r"\bgon\b|\bgrads?\b|gon\b", words) else
             AngleUnit.RADIANS if re.search(r"\[rad\]|\(rad\)|radian", words) else
@@ -111,6 +114,9 @@ def _columns(sheet: Sheet, header: tuple[str, ...] | None) -> tuple[dict[str, in
             raise BadTable(f"{sheet.path} line {sheet.lines[0][0]}: {sheet.width} items, expected image, X, Y, Z and three "
                            f"angles; "
                            "give a table with these columns")
+        if sheet.width not in (7, 10, 13, 16):  # with standard errors, with a matrix, with both
+            raise BadTable(f"{sheet.path} line {sheet.lines[0][0]}: {sheet.width} items and no header that says what they are; "
+                           "say it with --map image=..,X=..,Y=..,Z=..,omega=..,phi=..,kappa=.. by column number")
         numeric = [all(NUMBER.fullmatch(c[i].replace(",", ".")) for _, c in sheet.lines) for i in range(7)]
         if not all(numeric[1:]):
             raise BadTable(f"{sheet.path} line {sheet.lines[0][0]}: there is no header and not every item after the image is a "
@@ -121,6 +127,8 @@ def _columns(sheet: Sheet, header: tuple[str, ...] | None) -> tuple[dict[str, in
     columns = {}
     for what, known in wanted.items():
         found = [i for name in known for i, k in enumerate(keys) if k == name]
+        if what in ("X", "Y") and len(found) > 1:  # the same place on the map and in degrees: the map
+            found = [i for i in found if keys[i] not in DEGREES] or found
         if len(found) > 1 and what in ("X", "Y", "Z", *ANGLES):
             both = " and ".join(f"'{header[i]}'" for i in found[:3])
             raise BadTable(f"{sheet.path}: the columns are unclear (for {what} there is {both}); say which they are with --map "
@@ -151,7 +159,7 @@ def _settled(path: Path, angles: np.ndarray, order: AngleOrder, unit: AngleUnit 
                     return o, u, ()
                 if options.angles or options.unit:
                     raise BadTable(f"{path}: its rotation matrices say {o.name} in {u.name.lower()}; leave out --angles and "
-                                   f"--unit")
+                                   "--angle-unit")
                 if o is not order:
                     angles[:] = a
                 return o, u, (f"angles: {o.name} in {u.name.lower()}, as its rotation matrices say",)
@@ -163,8 +171,7 @@ def _settled(path: Path, angles: np.ndarray, order: AngleOrder, unit: AngleUnit 
         limit = {AngleUnit.DEGREES: 360.0, AngleUnit.GON: 400.0, AngleUnit.RADIANS: 2 * np.pi}[unit]
         if largest > limit * 1.0001:
             raise BadTable(f"{path}: an angle is {largest:g}, more than a full turn in {unit.name.lower()}; give the right "
-                           f"--unit "
-                           "deg, gon or rad")
+                           "--angle-unit: deg, gon or rad")
         return order, unit, ()
     if largest > 360.0001:
         if largest > 400.0001:
@@ -200,6 +207,8 @@ def looks_like_patb(head: str) -> bool:
 def read_patb(path: Path, options: Reading = NOTHING) -> Exchange:
     """PATB exterior orientations with rotation matrices, which turn photo axes into object axes unless said otherwise."""
     lines = lines_of(path)
+    if lines and lines[-1].cells == ("-99",):  # how PATB ends a list
+        lines = lines[:-1]
     direction = RotationDirection.OBJECT_TO_CAMERA if options.matrix == "object-to-photo" else RotationDirection.CAMERA_TO_OBJECT
     if not lines or len(lines) % 3:
         where = lines[-1] if lines else Line(path, 1, ())

@@ -21,7 +21,7 @@ from .scene import Exchange, Shot
 
 def read_geo(path: Path, options: Reading = NOTHING) -> Exchange:
     """OpenDroneMap's geo.txt, or a table of positions with named columns. Raises BadTable."""
-    return of_onboard("positions", path, read_positions(path, options.tell), options)
+    return of_onboard("positions", path, read_positions(path, options.tell, options.crs), options)
 
 
 def read_dji(path: Path, options: Reading = NOTHING) -> Exchange:

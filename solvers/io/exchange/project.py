@@ -104,7 +104,8 @@ def block_of(scene: Exchange, name: str, folder: Path, photos: Mapping[str, Path
     for n, shot in enumerate(scene.shots):
         camera = shot.camera or (next(iter(cameras)) if len(cameras) == 1 else None)
         if camera is None or camera not in cameras:
-            raise BadProject(f"{scene.path}: image '{shot.name}' has no camera; give its calibration with --camera FILE")
+            raise BadProject(f"{scene.path}: image '{shot.name}' has no camera; give its calibration with --camera FILE, or "
+                             "give the file to collinea init beside the photos, whose EXIF has one")
         images.append(Image(shot.name, camera, _file(scene, shot, folder, photos), prior_of(shot, scene.crs, frame)))
         kept.append(n)
     points = scene.points

@@ -5,14 +5,16 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ...errors import BadTable, PhotogrammetryError
+from ..bal import packed, unpacked_head
 from ..files import MAX_BYTES
-from ..gcp import is_crs
+from ..gcp import IMAGE, is_crs
 from ..photos import EXTENSIONS
 from ..tables import NUMBER
 from . import (
@@ -216,13 +218,25 @@ def _file(path: Path) -> str | None:
             raw = stream.read(HEAD)
     except OSError as error:
         raise BadTable(f"{path}: it cannot be read ({error.strerror or error}); check its permissions") from None
-    head = raw.decode("utf-16" if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8", "replace").lstrip("\ufeff")
+    if packed(raw):
+        return "bal" if bundler.looks_like_bal(unpacked_head(path).splitlines()) else None
+    head = _decoded(raw)
     text = head.lstrip()
     if text.startswith("<"):
         return _xml(path, text)
     if text.startswith(("{", "[")):
         return _json(text)
     return _text(head)
+
+
+def _decoded(raw: bytes) -> str:
+    """The beginning of a file as text: UTF-16, UTF-8 (which may end within a letter) or Windows-1252."""
+    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return raw.decode("utf-16", "replace").lstrip("\ufeff")
+    text = raw.decode("utf-8", "replace")
+    if "\ufffd" in text[:-1] and b"\0" not in raw:
+        text = raw.decode("cp1252", "replace")
+    return text.removesuffix("\ufffd").lstrip("\ufeff")
 
 
 def _xml(path: Path, head: str) -> str | None:
@@ -249,27 +263,38 @@ def _text(head: str) -> str | None:
         second = content[1].split() if len(content) > 1 else []
         return "gcp-odm" if len(second) >= 6 and NUMBER.fullmatch(second[0]) and not NUMBER.fullmatch(second[5]) else \
             "geo" if len(second) >= 3 else "gcp-odm"
-    tests = {"cal-opencv": head.startswith("%YAML") or "!!opencv-matrix" in head, "bundler": bundler.looks_like(head),
+    tests = {"cal-opencv": head.startswith("%YAML") or calibration.looks_like_opencv(head), "bundler": bundler.looks_like(head),
              "pix4d": pix4d.looks_like(head), "cal-pix4d": calibration.looks_like_cam(head),
              "cal-australis": calibration.looks_like_australis(head), "qgis": control.looks_like_qgis(head),
-             "opk": opk.looks_like(Path(), head) or _bare_angles(content), "patb": opk.looks_like_patb(head),
+             "opk": opk.looks_like(Path(), head), "patb": opk.looks_like_patb(head),
              "bal": bundler.looks_like_bal(content),
-             "mrk": bool(re.search(r",\s*Lat\b.*,\s*Lon\b.*,\s*Ellh\b", first)), "geo": _positions(first)}
-    found = next((name for name, yes in tests.items() if yes), None)
+             "mrk": bool(re.search(r",\s*Lat\b.*,\s*Lon\b.*,\s*Ellh\b", first)),
+             "geo": any(_positions(line.lstrip("# \t")) for line in [*_comments(lines), first])}
+    found = next((name for name, yes in tests.items() if yes), None) or ("opk" if _bare_angles(content) else None)
     return found or ("gcp" if content and "\0" not in head and "\ufffd" not in head else None)
 
 
+def _comments(lines: list[str]) -> list[str]:
+    """The comments before the content."""
+    return list(takewhile(lambda line: line.lstrip().startswith("#"), lines))
+
+
 def _bare_angles(lines: list[str]) -> bool:
-    """Whether lines without a header are image, X, Y, Z and three angles: one is negative, so they are no standard errors."""
+    """Whether lines without a header are image, X, Y, Z and three angles: the first names photos, or one of the last is negative
+    or above 10, so they are no standard errors."""
     rows = [re.split(r"[,;\t]\s*|\s+", line.strip()) for line in lines[:200]]
     if not rows or any(len(r) != 7 or not all(NUMBER.fullmatch(c) for c in r[1:]) for r in rows):
         return False
     last = np.array([[float(c) for c in r[4:]] for r in rows])
-    return bool((last < 0).any() and np.abs(last).max() <= 400)
+    return bool(np.abs(last).max() <= 400 and ((last < 0).any() or last.max() > 10 or all(IMAGE.search(r[0]) for r in rows)))
 
 
 def _positions(header: str) -> bool:
-    """Whether a header names photos with latitude and longitude."""
-    keys = {re.sub(r"[^a-z]", "", c.lower()) for c in re.split(r"[,;\t]|\s+", header)}
-    return bool(keys & {"image", "photo", "filename", "file", "img"}) and bool(keys & {"lat", "latitude"}) and \
-        bool(keys & {"lon", "lng", "longitude"}) and not keys & {"col", "row", "px", "py", "imx", "imy"}
+    """Whether a header names photos with their places: with latitude and longitude, with angles, or photos and no points."""
+    keys = {re.sub(r"[^a-z]", "", c.lower()) for c in re.split(r"[,;\t]" if re.search(r"[,;\t]", header) else r"\s+", header)}
+    photo = keys & {"image", "imagename", "photo", "photoname", "filename", "file", "img"}
+    degrees, plain = keys & {"lat", "latitude"} and keys & {"lon", "lng", "long", "longitude"}, {"x", "y"} <= keys
+    point = keys & {"name", "id", "label", "point", "gcp", "gcplabel", "gcpname", "marker"}
+    measured = keys & {"col", "row", "px", "py", "imx", "imy", "pixelx", "pixely"}
+    turned = any(k.startswith("yaw") for k in keys) and any(k.startswith("pitch") for k in keys)
+    return not measured and bool((degrees or plain) and (turned or (photo and (degrees or not point))))
