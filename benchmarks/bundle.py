@@ -15,10 +15,10 @@ centred coordinates, free gauge, function tolerance 1e-8); uncentred (the same, 
 (pycolmap as it comes); gtsam (Levenberg-Marquardt, its camera has two parameters more, fy and skew); scipy (trf, lsmr, analytic
 sparse Jacobian). `to 1e-6`: CPU seconds until the cost is within a millionth of the tool's own end.
 CPU seconds disturb least on a busy machine. `peak MB` is that of the whole process, `floor` its peak when the tool has adjusted
-a block of 80 images and few points (Python, libraries, code), `above` what the block itself adds: reading it, the problem, the solution. The
-block comes from a file, and neither tool's process keeps it beside its own problem. After each block the ratios to the first
-tool are printed. --pairs N: the same adjustment without and with a full trace, N times in turn in one process, medians.
---limit: seconds until a tool is given up.
+a block of 80 images and few points (Python, libraries, code), `above` what the block itself adds: reading it, the problem, the
+solution. The block comes from a file, and neither tool's process keeps it beside its own problem. After each block the ratios
+to the first tool are printed. --pairs N: the same adjustment without and with a full trace, N times in turn in one process,
+medians. --limit: seconds until a tool is given up.
 """
 
 from __future__ import annotations
@@ -111,7 +111,10 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def _peak() -> float:
-    """Largest memory of this process so far [MB]."""
+    """Largest memory of this process so far [MB]; the kernel's other count begins with that of the process it was forked from."""
+    status = Path("/proc/self/status")
+    if status.exists():
+        return int(status.read_text().split("VmHWM:")[1].split()[0]) / 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 

@@ -22,7 +22,8 @@ from .cli_parts import (
     teller,
 )
 
-SIMULATIONS = ("uav_cluster", "ono_stereo", "ono_triplet", "field_long_range", "uav_block", "calibration_plate", "cliff_epochs")
+SIMULATIONS = ("uav_cluster", "ono_stereo", "ono_triplet", "field_long_range", "uav_block", "calibration_plate", "cliff_epochs",
+               "large_block")
 
 
 def add(commands: Any) -> None:
@@ -59,6 +60,7 @@ def add(commands: Any) -> None:
     simulate.add_argument("--seed", type=int, default=0, help="of the random numbers (default: 0)")
     simulate.add_argument("--reduction", type=int, choices=range(1, 17), default=4, metavar="N",
                           help="photos N times smaller (default: 4)")
+    simulate.add_argument("--images", type=count, metavar="N", help="of a large_block, which has no photos (default: 500)")
 
     from .studies import KINDS
 
@@ -139,14 +141,18 @@ def _show_mapping(args: argparse.Namespace) -> int:
 
 
 def _simulate(args: argparse.Namespace) -> int:
+    from .errors import BadProject
     from .simulation import SERIES
     from .workflows import simulate_epochs, simulate_project
 
+    if args.images is not None and args.kind != "large_block":
+        raise BadProject(f"--images belongs to large_block; '{args.kind}' has its own number of images")
     if args.kind in SERIES:
         folders = simulate_epochs(args.kind, args.output, seed=args.seed)
         value = {"projects": [str(f) for f in folders], "kind": args.kind, "seed": args.seed}
         return emit(args, value, f"{args.output}: {len(folders)} epochs\nnext: {PROG} compare {' '.join(map(str, folders))}")
-    block = simulate_project(args.kind, args.output, seed=args.seed, reduction=args.reduction)
+    size = {} if args.images is None else {"images": args.images}
+    block = simulate_project(args.kind, args.output, seed=args.seed, reduction=args.reduction, **size)
     value = {"project": args.output, "kind": args.kind, "seed": args.seed, "images": [i.name for i in block.images],
              "points": len(block.points), "observations": len(block.observations)}
     return emit(args, value,

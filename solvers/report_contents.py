@@ -124,7 +124,7 @@ def _images(m: Material, source: Source) -> Section:
             marked.add(len(rows))
         rows.append((o["image"], o["model"], *(source.number(f"{at}.{k}") for k in "XYZ"),
                      *(source.number(f"{at}.{k}_deg", 4) for k in ("omega", "phi", "kappa")),
-                     sum(r["used"] for r in o.get("residuals", [])) or "", source.number(f"{at}.sigma0"),
+                     o.get("observations", sum(r["used"] for r in o.get("residuals", []))) or "", source.number(f"{at}.sigma0"),
                      source.number(f"{at}.rms_px")))
         rows.append(("", "± standard error", *(source.number(f"{at}.sigma.{k}") for k in "XYZ"),
                      *(source.number(f"{at}.sigma.{k}_deg", 4) for k in ("omega", "phi", "kappa")), "", "", ""))

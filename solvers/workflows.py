@@ -151,13 +151,14 @@ def _write_run(run: Path, folder: Path, block: Block, orientations: Sequence[Ori
 
 
 def simulate_project(kind: str, folder: Path | str, *, seed: int = 0, reduction: int = 4, quality: int = 88,
-                     photos: bool = True) -> Block:
-    """A project with known truth: project folder, truth.json, dem.tif and photos made smaller by `reduction`."""
+                     photos: bool = True, **options: Any) -> Block:
+    """A project with known truth: project folder, truth.json, dem.tif and photos made smaller by `reduction`; options: of the
+    kind."""
     from . import simulation
 
     folder = Path(folder)
     must_be_free(folder)
-    simulated = simulation.simulate(kind, seed)
+    simulated = simulation.simulate(kind, seed, **options)
     block, terrain, render = simulated.block, simulated.terrain, simulated.render
     if not photos:
         block = replace(block, images=tuple(replace(i, file=None) for i in block.images))

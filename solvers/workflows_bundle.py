@@ -16,6 +16,7 @@ from .block import Block
 from .cameras import PARAMETERS
 from .errors import BadProject, DegenerateGeometry
 from .io import (
+    OBSERVATIONS,
     RowReader,
     RowWriter,
     latest_run,
@@ -29,7 +30,7 @@ from .io import (
     write_json,
 )
 from .orientation import Adjusted, BundleRequest, CornerControl, adjust, with_corners
-from .orientation.bundle import MOST, Begun, Stopped, Watch
+from .orientation.bundle import MANY, MOST, Begun, Stopped, Watch
 
 BundleRecorder = Callable[[Path, Block, Adjusted], object]
 """record(path, block, adjusted): writes recording.rrd."""
@@ -65,8 +66,10 @@ class AdjustedProject(NamedTuple):
     run: Path | None
 
     def to_json(self) -> dict[str, Any]:
-        """The JSON of the commands adjust and calibrate."""
-        return {**self.result.to_json(), "run": None if self.run is None else str(self.run)}
+        """The JSON of the commands adjust and calibrate; of large blocks the residuals stay beside it in the run."""
+        beside = self.run is not None and (self.run / OBSERVATIONS).exists()
+        return {**self.result.to_json(residuals=not beside), **({"observations_file": OBSERVATIONS} if beside else {}),
+                "run": None if self.run is None else str(self.run)}
 
 
 class StoppedRun(NamedTuple):
@@ -181,10 +184,12 @@ def leave_run(folder: Path, command: str, block: Block, result: Adjusted, record
                 (run / name).unlink(missing_ok=True)
         if len(result.points) > MOST:  # too many for the JSON
             save_arrays(result.covariances(), run / "covariance.npz")
+        if sum(len(o.points) for o in result.orientations) > MANY:
+            save_arrays(result.observations(), run / OBSERVATIONS)
         if recorder is not None:
             recorder(run / "recording.rrd", block, result)
         done = AdjustedProject(block, result, run)
-        write_json(run / "result.json", done.to_json())
+        write_json(run / "result.json", done.to_json(), None if (run / OBSERVATIONS).exists() else 1)
     except BaseException:
         if fresh:
             shutil.rmtree(run, ignore_errors=True)

@@ -14,7 +14,7 @@ from .adjustment import Trace
 from .block import Block
 from .errors import BadProject, DegenerateGeometry, PhotogrammetryError, Unsupported
 from .geometry import Exterior
-from .io import latest_run, load_trace, read_project
+from .io import latest_run, load_residuals, load_trace, read_project
 from .io.files import write_atomic
 from .orientation import Known, Plane, footprint, monoplot
 from .orientation.monoplot import Ground as Surface
@@ -105,6 +105,9 @@ def read_result(run: Path) -> dict[str, Any]:
         raise BadProject(f"{path}: it cannot be read ({error}); delete this run and compute it again") from None
     if not isinstance(value, dict):
         raise BadProject(f"{path}: expected an object; delete this run and compute it again")
+    if "observations_file" in value:
+        seen = load_residuals(run)
+        value["orientations"] = [{**o, "residuals": seen.get(o["image"], [])} for o in value["orientations"]]
     return value
 
 

@@ -18,6 +18,7 @@ from solvers.cli import main
 from solvers.io import RowReader, RowWriter, demo_assets, load_trace, read_truth, save_trace, write_project
 from solvers.simulation import calibration_plate
 from solvers.workflows_bundle import AdjustedProject, StoppedRun, adjust_project
+from solvers.workflows_report import read_result, report_project
 from viewer_app.rerun_bundle import Live
 
 
@@ -56,6 +57,26 @@ def test_adjust_agrees_with_the_truth_and_keeps_the_contract(demo: Path, capsys:
     folder = Path(done["run"])
     assert json.loads((folder / "result.json").read_text()) == done and (folder / "recording.rrd").stat().st_size > 10_000
     assert load_trace(folder).last.cost == pytest.approx(done["cost"])
+
+
+def test_residuals_of_a_large_block_stay_beside_the_json(demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = adjust_project(demo)
+    monkeypatch.setattr("solvers.workflows_bundle.MANY", 10)
+    thin = adjust_project(demo)
+    assert isinstance(whole, AdjustedProject) and isinstance(thin, AdjustedProject) and whole.run and thin.run
+    said = json.loads((thin.run / "result.json").read_text())
+    assert said["observations_file"] == "observations.npz" and not any(o["residuals"] for o in said["orientations"])
+    first, second = read_result(whole.run), read_result(thin.run)
+    for a, b in zip(first["orientations"], second["orientations"], strict=True):
+        assert [r["point"] for r in a["residuals"]] == [r["point"] for r in b["residuals"]]
+        assert a["observations"] == b["observations"] == sum(r["used"] for r in b["residuals"])
+        for r, s in zip(a["residuals"], b["residuals"], strict=True):
+            assert s["col"] == pytest.approx(r["col"], rel=1e-6) and s["w"] == pytest.approx(r["w"], rel=1e-6)
+    report_project(thin.run, thin.run / "report.html")
+    assert "observed points; redundancy numbers" in (thin.run / "report.html").read_text()
+    (thin.run / "observations.npz").write_bytes(b"PK")
+    with pytest.raises(BadProject, match=r"observations\.npz: it cannot be read"):
+        read_result(thin.run)
 
 
 @pytest.mark.parametrize("start", ["resection", "dlt", "affine"])

@@ -100,6 +100,7 @@ def iterate(problem: Problem, x0: np.ndarray, options: Options | None = None) ->
             return
         relative = fall / cost if cost > 0 else 0.0
         x, cost, misclosure = proposal, new_cost, new_misclosure
+        del normal  # never two of them in memory
         normal = problem.normal(x)
         gradient = _gradient(normal, cost)
         if length <= options.step_tolerance:

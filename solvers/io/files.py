@@ -70,9 +70,9 @@ def write_text(path: Path, text: str) -> None:
     write_atomic(path, lambda stream: stream.write(text.encode("utf-8")))
 
 
-def write_json(path: Path, value: Any) -> None:
-    """Write a value as readable JSON, atomically; numbers that are not finite become null."""
-    write_text(path, json.dumps(jsonable(value), indent=1, allow_nan=False, ensure_ascii=False) + "\n")
+def write_json(path: Path, value: Any, indent: int | None = 1) -> None:
+    """Write a value as readable JSON, atomically; numbers that are not finite become null. indent: None for one line."""
+    write_text(path, json.dumps(jsonable(value), indent=indent, allow_nan=False, ensure_ascii=False) + "\n")
 
 
 def jsonable(value: Any) -> Any:

@@ -69,9 +69,36 @@ def save_trace(trace: Trace, run_folder: Path | str, name: str = "trace") -> Pat
     return path
 
 
+OBSERVATIONS = "observations.npz"
+"""File of a run that holds the residuals of a large block."""
+
+
 def save_arrays(arrays: Mapping[str, np.ndarray], path: Path) -> None:
     """Write named arrays as one npz file, atomically."""
     write_atomic(path, lambda stream: np.savez(stream, **arrays))  # type: ignore[arg-type]
+
+
+def load_residuals(run_folder: Path | str) -> dict[str, list[dict[str, Any]]]:
+    """The residuals of every image as result.json has them, from observations.npz of a large block. Raises BadProject."""
+    path, out = Path(run_folder) / OBSERVATIONS, {}
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            a = dict(file)
+        images, points = a["images"].tolist(), a["points"].tolist()
+        out = {name: [] for name in images}
+        names = ("residuals", "redundancy", "w", "detectable", "effect")
+        rows = zip(a["image"].tolist(), a["point"].tolist(), a["used"].tolist(), *(_finite(a[n]) for n in names), strict=True)
+        for image, point, used, (col, row), redundancy, w, detectable, effect in rows:
+            out[images[image]].append({"point": points[point], "col": col, "row": row, "redundancy": redundancy, "w": w,
+                                       "used": used, "detectable_px": detectable, "effect_sigma": effect})
+    except (OSError, ValueError, KeyError, IndexError, EOFError, BadZipFile) as error:
+        raise BadProject(f"{path}: it cannot be read ({type(error).__name__}: {error}); {REDO}") from None
+    return out
+
+
+def _finite(values: np.ndarray) -> list[list[float | None]]:
+    """Rows of numbers, None where they are not finite."""
+    return [[v if np.isfinite(v) else None for v in row] for row in values.tolist()]
 
 
 def load_trace(run_folder: Path | str, name: str = "trace") -> Trace:

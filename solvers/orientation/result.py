@@ -63,8 +63,9 @@ class Orientation:
         v = self.residuals[self.used]
         return float(np.sqrt((v**2).sum() / len(v)))
 
-    def to_json(self) -> dict[str, Any]:
-        """The orientation object of the JSON contract; angles in degrees, covariance in metres and radians."""
+    def to_json(self, residuals: bool = True) -> dict[str, Any]:
+        """The orientation object of the JSON contract; angles in degrees, covariance in metres and radians. Without `residuals`
+        these are empty (large blocks keep them beside the JSON)."""
         angles = np.degrees(self.exterior.angles)
         sigma = np.concatenate([self.sigma[:3], np.degrees(self.sigma[3:])])
         keys = ("X", "Y", "Z", *ANGLES)
@@ -80,7 +81,8 @@ class Orientation:
             "covariance": self.covariance.tolist(),
             "sigma0": self.sigma0, "dof": self.dof, "rms_px": self.rms_px, "rms_px_coordinate": self.rms_px / np.sqrt(2),
             "iterations": self.trace.iterations, "converged": self.trace.converged, "stop": self.trace.last.stop,
-            "residuals": [self._residual(i) for i in range(len(self.points))],
+            "residuals": [self._residual(i) for i in range(len(self.points))] if residuals else [],
+            "observations": int(self.used.sum()),
             "chi_square": None if self.chi_square is None else asdict(self.chi_square), "condition": self.condition,
             "correlation": correlation(self.covariance).tolist(),
             "rejected": list(self.rejected), **({"interior": interior} if interior else {}),

@@ -9,17 +9,18 @@ from ..errors import BadProject
 from .close_range import calibration_plate, field_long_range, ono_stereo, ono_triplet
 from .clusters import uav_cluster
 from .flights import uav_block
+from .large import large_block
 from .monitoring import cliff_epochs
 from .scene import Render, Simulated
 from .terrain import Terrain
 
 __all__ = ["KINDS", "SERIES", "Render", "Simulated", "Terrain", "calibration_plate",
-           "cliff_epochs", "field_long_range", "ono_stereo", "ono_triplet",
+           "cliff_epochs", "field_long_range", "large_block", "ono_stereo", "ono_triplet",
            "simulate", "uav_block", "uav_cluster"]
 
 KINDS: Mapping[str, Callable[..., Simulated]] = {
     "uav_cluster": uav_cluster, "ono_stereo": ono_stereo, "ono_triplet": ono_triplet, "field_long_range": field_long_range,
-    "uav_block": uav_block, "calibration_plate": calibration_plate,
+    "uav_block": uav_block, "calibration_plate": calibration_plate, "large_block": large_block,
 }
 
 SERIES: Mapping[str, Callable[..., tuple[Simulated, ...]]] = {"cliff_epochs": cliff_epochs}

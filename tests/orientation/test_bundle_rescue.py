@@ -78,6 +78,37 @@ def test_marks_exchanged_in_one_image_are_named() -> None:
     assert all(f"'{n}'" in got.warnings[0] for n in names) and "look exchanged in image" in got.warnings[0]
 
 
+def test_a_mark_under_the_name_of_another_point_is_named_and_no_other() -> None:
+    """Three rays and more to the point whose name was taken: all but one agree."""
+    of = BLOCK.observations
+    rays = np.bincount(of.point, minlength=len(BLOCK.points))
+    ties = np.array(BLOCK.points.role) == "tie"
+    here = set(of.point[of.image == 2].tolist())
+    taken = next(j for j in np.flatnonzero(ties & (rays >= 3)) if j not in here)
+    row = next(k for k in np.flatnonzero(of.image == 2) if ties[of.point[k]] and rays[of.point[k]] >= 3)
+    point = of.point.copy()
+    point[row] = taken
+    got = adjust(replace(BLOCK, observations=replace(of, point=point)))
+    name = BLOCK.points.names[taken]
+    assert f"the mark of '{name}' in '{BLOCK.images[2].name}'; correct observations.csv" in got.warnings[0]
+    assert got.trace.converged and got.sigma0 is not None and 0.7 < got.sigma0 < 1.3
+
+
+def apart() -> Block:
+    """The two strips, with no mark of the first that the second shares."""
+    of = BLOCK.observations
+    keep = (of.image >= 3) | ~np.isin(of.point, np.unique(of.point[of.image >= 3]))
+    return replace(BLOCK, observations=replace(of, image=of.image[keep], point=of.point[keep], pixel=of.pixel[keep],
+                                               sigma=of.sigma[keep]))
+
+
+def test_parts_that_share_no_point_are_named() -> None:
+    got = adjust(apart(), datum="both")
+    assert any(w.startswith("the block falls into 2 parts that share no point") and "'S1_01'" in w for w in got.warnings)
+    got = adjust(apart(), datum="free")
+    assert len(got.orientations) == 3 and any("share no point; not adjusted is that of image(s) 'S" in w for w in got.warnings)
+
+
 def test_a_flat_object_far_away_is_begun_with_both_reversals_tried() -> None:
     """28 targets nearly in one plane at 105 m, coordinates rounded to half a metre: each image has two solutions alike."""
     got = adjust(field_long_range(16, relief=0.2, images=3).block, datum="free")

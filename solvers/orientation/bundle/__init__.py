@@ -2,7 +2,7 @@
 
 from .adjust import Begun, BundleRequest, BundleStart, Stopped, Watch, adjust, conclude_bundle, exteriors, prepare_bundle
 from .problem import Bundle
-from .result import MOST, Adjusted, AdjustedPoint
+from .result import MANY, MOST, Adjusted, AdjustedPoint
 
-__all__ = ["MOST", "Adjusted", "AdjustedPoint", "Begun", "Bundle", "BundleRequest", "BundleStart", "Stopped", "Watch", "adjust",
-           "conclude_bundle", "exteriors", "prepare_bundle"]
+__all__ = ["MANY", "MOST", "Adjusted", "AdjustedPoint", "Begun", "Bundle", "BundleRequest", "BundleStart", "Stopped", "Watch",
+           "adjust", "conclude_bundle", "exteriors", "prepare_bundle"]

@@ -233,13 +233,14 @@ class Compiled:
         net, t, p = self.network, self.threads, self.pattern
         m, f, live = net.sizes
         raw = len(net.border)
-        parts = [np.zeros((t, *shape)) for shape in ((len(p.row), 6, 6), (m, raw, 6), (raw, raw), (m, 6), (raw,))]
+        shapes = ((len(p.row), 6, 6), (m, raw, 6), (raw, raw), (m, 6), (raw,))
+        parts = [[np.zeros(shape) for shape in shapes] for _ in range(t)]
         self._each(lambda k, a, b: self._kernels.eliminate(a, b, self.longest, *made.at, made.V, made.q, damping, self.lut,
-                                                           *(part[k] for part in parts)), live)
-        for part in parts:
-            for k in range(1, t):
-                part[0] += part[k]
-        s, b, c, g, h = (part[0] for part in parts)
+                                                           *parts[k]), live)
+        s, b, c, g, h = parts[0]
+        while len(parts) > 1:  # a thread's share is given back as soon as it is in
+            for whole, part in zip(parts[0], parts.pop(), strict=True):
+                whole += part
         b, c, h = self._merged(b, 1), self._merged(self._merged(c, 0), 1), self._merged(h, 0)
         diagonal = self.lut[np.arange(m), np.arange(m)]
         s[diagonal] += made.U

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -15,6 +16,7 @@ from ..resection import PriorOrientation
 from ..single import given_prior
 from .extras import Extras
 from .network import Network
+from .parts import parts, told
 
 Datum = Literal["control", "prior", "both", "free"]
 SPEED, SPEED_KNOWN, RATE = 20.0, 2.0, np.radians(15)
@@ -74,7 +76,14 @@ class Given:
 
     def seen_in(self, image: int) -> np.ndarray:
         """Rows of the observations of one image."""
-        return np.flatnonzero(self.image == image)
+        order, ends = self._by_image
+        return order[ends[image]:ends[image + 1]]
+
+    @cached_property
+    def _by_image(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows of the observations, image by image, and where each image's begin."""
+        order = np.argsort(self.image, kind="stable")
+        return order, np.searchsorted(self.image[order], np.arange(len(self.block.images) + 1))
 
 
 def given(block: Block, request: BundleRequest) -> Given:
@@ -326,6 +335,7 @@ def _left_out(data: Given, poses: dict[int, Exterior], rays: np.ndarray, use: np
     if empty:
         out.append(f"{len(empty)} image(s) have no observations: {_few(empty)}")
     if missing:
+        out += _apart(data, poses)
         out.append(f"{len(missing)} image(s) could not be oriented and take no part: "
                    + _few([f"{name} ({counts[block.image_index(name)]} observations)" for name in missing]))
     single = [block.points.names[j] for j in np.flatnonzero((rays == 1) & ~use)]
@@ -335,6 +345,17 @@ def _left_out(data: Given, poses: dict[int, Exterior], rays: np.ndarray, use: np
     if lost:
         out.append(f"{len(lost)} point(s) could not be intersected and take no part: {_few(lost)}")
     return out
+
+
+def _apart(data: Given, poses: dict[int, Exterior]) -> list[str]:
+    """A sentence where a part of the block takes no part because it shares no point with the rest."""
+    fixed = np.asarray(np.isinf(data.weight).all(axis=1))[data.point]
+    found = parts(data.image[~fixed], data.point[~fixed])
+    lost = [part for part in found if len(part) > 1 and not any(int(i) in poses for i in part)]
+    if not lost:
+        return []
+    return [f"the block falls into {len(found)} parts that share no point; not adjusted is that of image(s) "
+            f"{told([data.block.images[i].name for i in lost[0]])}: measure tie points to the others, or give it control"]
 
 
 def _few(names: list[str]) -> str:

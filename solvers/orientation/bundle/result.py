@@ -22,8 +22,10 @@ from .statistics import Statistics
 
 ELLIPSOID_95 = 2.7954834829151074
 """Square root of the 95 % quantile of chi-square with 3 degrees of freedom."""
-MOST = 20_000
+MOST = 5_000
 """Points up to which the JSON has the covariance of every one; of larger blocks they are in covariance.npz of the run."""
+MANY = 20_000
+"""Observations up to which the JSON of a run has every one; of larger blocks they are in observations.npz of the run."""
 MATTERS = 0.5
 """Pixels that a camera moves on the ground while it reads a photo from which its rolling shutter is told."""
 CONTRADICTED = 3.0
@@ -127,11 +129,23 @@ class Adjusted:
         """Places in `interior_names` of what was freed of one camera, shared with others or not."""
         return [k for k, (name, _) in enumerate(self.interior_names) if camera == name or camera.startswith(f"{name}@")]
 
-    def to_json(self) -> dict[str, Any]:
-        """The JSON of the commands adjust and calibrate."""
+    def observations(self) -> dict[str, np.ndarray]:
+        """What is known of every observation as arrays: image and point (o,), places among the names; residuals, redundancy, w,
+        detectable and effect (o, 2); used (o,)."""
+        place = {p.name: k for k, p in enumerate(self.points)}
+        arrays = {name: np.concatenate([getattr(o, name) for o in self.orientations])
+                  for name in ("residuals", "redundancy", "w", "detectable", "effect", "used")}
+        return {"images": np.array([o.image for o in self.orientations]), "points": np.array(list(place)),
+                "image": np.repeat(np.arange(len(self.orientations), dtype=np.int32), [len(o.points) for o in self.orientations]),
+                "point": np.array([place[name] for o in self.orientations for name in o.points], np.int32),
+                **{name: a if name == "used" else a.astype(np.float32) for name, a in arrays.items()}}
+
+    def to_json(self, residuals: bool = True) -> dict[str, Any]:
+        """The JSON of the commands adjust and calibrate, with or without every observation's residuals."""
         sigma = self.interior_sigma
         return {
-            "orientations": [{**o.to_json(), **self._with_interior(k, o.image)} for k, o in enumerate(self.orientations)],
+            "orientations": [{**o.to_json(residuals), **self._with_interior(k, o.image)}
+                             for k, o in enumerate(self.orientations)],
             "interior": {name: {**{_key(p): float(getattr(camera, p)) for p in PARAMETERS},
                                 "sigma": {_key(p): s for p, s in sigma[name].items()}} for name,
                          camera in self.interiors.items()},

@@ -79,11 +79,14 @@ def network_alone(data: Given) -> np.ndarray:
     return points(data, poses)
 
 
-def points(data: Given, poses: dict[int, Exterior]) -> np.ndarray:
-    """(n, 3) points nearest to the rays of all oriented images, NaN where fewer than two see them or the rays are parallel."""
+def points(data: Given, poses: dict[int, Exterior], wanted: np.ndarray | None = None) -> np.ndarray:
+    """(n, 3) points nearest to the rays of all oriented images, NaN where fewer than two see them or the rays are parallel, and
+    for those that are not wanted (n,)."""
     out = np.full((len(data.block.points), 3), np.nan)
     order = sorted(poses)
     ok = np.isin(data.image, order)
+    if wanted is not None:
+        ok &= wanted[data.point]
     ok &= np.bincount(data.point[ok], minlength=len(out))[data.point] >= 2
     if not ok.any():
         return out
@@ -190,22 +193,23 @@ _LINEAR = {"dlt": _by_dlt, "affine": _by_affine}
 
 def _grow(data: Given, poses: dict[int, Exterior], images: list[int], known: np.ndarray) -> None:
     """Add images to the oriented ones, those that see most points first, until none can be added."""
-    while True:
-        left = [i for i in images if i not in poses]
-        if not left:
-            return
-        xyz = points(data, poses)
-        xyz = np.where(np.isfinite(known), known, xyz)
+    placed, new = np.full_like(known, np.nan), list(poses)
+    while left := [i for i in images if i not in poses]:
+        touched = np.zeros(len(known), bool)
+        touched[data.point[np.isin(data.image, new)]] = True
+        placed[touched] = points(data, poses, touched)[touched]
+        xyz = np.where(np.isfinite(known), known, placed)
         usable = np.asarray(np.isfinite(xyz).all(axis=1))
         counts = np.array([int(usable[data.point[data.seen_in(i)]].sum()) for i in left])
         if counts.max() < 6:
             return
-        before = len(poses)
+        new = []
         for k in np.flatnonzero(counts >= max(6, counts.max() // 2)):
             e = _resected(data, left[k], xyz, 6)
             if e is not None and _believable(data, left[k], e, xyz):
                 poses[left[k]] = e
-        if len(poses) == before:
+                new.append(left[k])
+        if not new:
             return
 
 
