@@ -93,9 +93,14 @@ def _unpacked(path: Path, most: int) -> bytes:
 
 
 def _words(path: Path) -> list[bytes]:
-    data = _unpacked(path, LARGEST + 1)
-    if len(data) > LARGEST:
-        raise BadTable(f"{path}: it holds more than {LARGEST // 2**30} GB; take a smaller problem")
+    most = LARGEST
+    try:
+        most = min(LARGEST, max(2**26, 40 * path.stat().st_size))  # numbers pack to a quarter
+    except OSError:
+        pass
+    data = _unpacked(path, most + 1)
+    if len(data) > most:
+        raise BadTable(f"{path}: it holds more than {most / 2**20:.0f} MB; take a smaller problem")
     return data.split()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -192,7 +193,10 @@ def _crs(text: str) -> Any:
 
 
 def _content(text: str) -> str:
-    """The text itself, or that of the .prj file it names."""
+    """The text itself, a UTM zone in words as its EPSG code (WGS84 UTM 32N, UTM 32S), or that of the .prj file it names."""
+    utm = re.fullmatch(r"\s*(?:WGS\s*84)?[\s/]*UTM\s*(?:zone)?\s*(\d{1,2})\s*([NS])\s*", text, re.IGNORECASE)
+    if utm and 1 <= int(utm[1]) <= 60:
+        return f"EPSG:{(32600 if utm[2].upper() == 'N' else 32700) + int(utm[1])}"
     if not text.strip().lower().endswith(".prj"):
         return text
     from .files import read_bytes

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gzip
+import json
 import os
 import random
 import re
@@ -166,3 +168,30 @@ def test_deep_nesting(tmp_path: Path) -> None:
     (tmp_path / "d.json").write_text('{"a":' + "[" * 100000)
     with pytest.raises(PhotogrammetryError, match=r"d\.json"):
         registry.read(tmp_path / "d.json", "opensfm")
+
+
+def test_files_outside_are_not_read(tmp_path: Path) -> None:
+    """A project of another tool names files beside it; what it names elsewhere, or what is no photo, is not opened."""
+    from solvers.workflows_exchange import Wanted, convert
+
+    home = tmp_path / "in"
+    home.mkdir()
+    (tmp_path / "secret.json").write_text("{}")
+    item = {"resources": [{"uri": "../secret.json", "format": "application/opf-camera-list+json"}]}
+    (home / "project.opf").write_text(json.dumps({"format": "application/opf-project+json", "items": [item]}))
+    with pytest.raises(PhotogrammetryError, match="outside the project's folder"):
+        registry.read(home)
+    frame = {"file_path": "../secret.json", "transform_matrix": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}
+    (home / "transforms.json").write_text(json.dumps({"w": 8, "h": 8, "fl_x": 9, "frames": [frame]}))
+    convert(home / "transforms.json", tmp_path / "site", Wanted(crs="local"))
+    assert "file =" not in (tmp_path / "site" / "project.toml").read_text()
+
+
+def test_empty_and_overfull_files(tmp_path: Path) -> None:
+    (tmp_path / "e.csv").write_text("\n \n")
+    with pytest.raises(PhotogrammetryError, match=r"e\.csv: the file is empty"):
+        registry.read(tmp_path / "e.csv")
+    full = gzip.compress(b"49 7776 31843\n0 0 1.0 2.0\n" + b"0 " * (33 * 2**20), 1)  # 66 MB in a few bytes
+    (tmp_path / "p.gz").write_bytes(full)
+    with pytest.raises(PhotogrammetryError, match="holds more than 64 MB"):
+        registry.read(tmp_path / "p.gz")

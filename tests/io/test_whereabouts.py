@@ -201,3 +201,11 @@ def test_convert_checks_the_photos_too(tmp_path: Path, capsys: pytest.CaptureFix
     assert re.search(r"g\.csv: its coordinates lie \d+ km from the photos' GPS.*give --crs EPSG:32632", error)
     assert not (tmp_path / "out.geojson").exists()
     assert main([*words, "--crs", "EPSG:32632"]) == 0 and (tmp_path / "out.geojson").exists()
+
+
+def test_utm_zones_in_words() -> None:
+    for text, code in (("WGS84 UTM 32N", "EPSG:32632"), ("wgs84 utm 23 s", "EPSG:32723"), ("UTM zone 7N", "EPSG:32607"),
+                       ("WGS 84 / UTM zone 32N", "EPSG:32632")):
+        assert crs.short_crs(text) == code
+    with pytest.raises(BadProject, match="not known"):
+        crs.short_crs("UTM 61N")

@@ -90,7 +90,10 @@ def _parts(path: Path) -> dict[str, Item]:
             uri = urlparse(resource.get("uri").text())
             if uri.scheme not in ("", "file") or uri.netloc not in ("", "localhost"):
                 raise resource.error("is on another machine; only files beside the project are read")
-            files.append(path.parent / unquote(uri.path))
+            inside = path.parent / unquote(uri.path)
+            if not inside.resolve().is_relative_to(path.parent.resolve()):
+                raise resource.error("is outside the project's folder; put the file beside the project")
+            files.append(inside)
     return {**_by_format([read_json(f) for f in files]), "project": root}
 
 

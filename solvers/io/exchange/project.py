@@ -19,6 +19,7 @@ from ...errors import BadProject
 from ...geometry import Exterior, LocalFrame
 from ..crs import METRES, described, is_geographic, short_crs, transformed, utm_zone
 from ..geocentric import axes_at, converted
+from ..photos import EXTENSIONS
 from ..whereabouts import Reading as Place
 from .scene import Exchange, Shot
 
@@ -140,7 +141,8 @@ def _file(scene: Exchange, shot: Shot, folder: Path, photos: Mapping[str, Path] 
     if found is None and shot.file is not None:
         pure = PureWindowsPath(shot.file) if "\\" in shot.file else PurePosixPath(shot.file)
         home = scene.path if scene.path.is_dir() else scene.path.parent
-        found = next((p for p in (home / Path(*pure.parts), home / pure.name, home / "images" / pure.name) if p.is_file()), None)
+        places = (home / Path(*pure.parts), home / pure.name, home / "images" / pure.name)
+        found = next((p for p in places if p.suffix.lower() in EXTENSIONS and p.is_file()), None)  # no other file is a photo
     if found is None:
         return None
     at, home = found.resolve(), folder.resolve()

@@ -218,6 +218,8 @@ def _file(path: Path) -> str | None:
             raw = stream.read(HEAD)
     except OSError as error:
         raise BadTable(f"{path}: it cannot be read ({error.strerror or error}); check its permissions") from None
+    if not raw.strip():
+        raise BadTable(f"{path}: the file is empty; export it again")
     if packed(raw):
         return "bal" if bundler.looks_like_bal(unpacked_head(path).splitlines()) else None
     head = _decoded(raw)
