@@ -386,6 +386,26 @@ def _held(normal, cofactor, keep, variance, start, result):
             result[11] += total / count * dy * dy
 
 
+@helper
+def _slow(dx, dy, before, result):
+    """Enlarge the covariance along the last step where steps became shorter by less than half.
+
+    Steps that shrink by q find the residuals' curvature there to be 1 - q of the normal matrix, and are not at their end: a dot
+    turns about itself, half held by noise. What noise adds to the normal matrix of usual windows makes q a third at most.
+    """
+    last = math.hypot(dx, dy)
+    if not last > 0.5 * before or not last > 0:
+        return
+    rate = min(last / before, 0.98) if before > 0 else 0.5
+    x, y = dx / last, dy / last
+    along = x * x * result[9] + 2 * x * y * result[10] + y * y * result[11]
+    left = last * rate / (1 - rate)
+    more = along * ((0.5 / (1 - rate)) ** 2 - 1) + left * left
+    result[9] += more * x * x
+    result[10] += more * x * y
+    result[11] += more * y * y
+
+
 @njit(cache=True, fastmath=FAST, error_model="numpy", nogil=True)
 def match_batch(template, target, at, start, shape, half, taps, extra, noise, limits, out):
     """Inverse compositional least squares matching of many points.
@@ -452,6 +472,7 @@ def match_batch(template, target, at, start, shape, half, taps, extra, noise, li
         base = (oy - 1) * broad + ox - 1
         status = NOT_CONVERGED
         score, ratio, mean_other, variance = 0.0, 1.0, 0.0, 0.0
+        dx, dy, before = 0.0, 0.0, 0.0
         iteration = 0
         while iteration < limits[0]:
             reach_x = (abs(a11) + abs(a12)) * half
@@ -498,6 +519,7 @@ def match_batch(template, target, at, start, shape, half, taps, extra, noise, li
                 status = DIVERGED
                 break
             i11, i12, i21, i22 = (1 + d5) / det, -d2 / det, -d4 / det, (1 + d1) / det
+            before = math.hypot(dx, dy)
             tx, ty = -(i11 * d0 + i12 * d3), -(i21 * d0 + i22 * d3)
             dx, dy = a11 * tx + a12 * ty, a21 * tx + a22 * ty
             x, y = x + dx, y + dy
@@ -535,6 +557,7 @@ def match_batch(template, target, at, start, shape, half, taps, extra, noise, li
                 break
             # Noise alone carried a shaping parameter: once more without it.
             status = NOT_CONVERGED
+            dx, dy = 0.0, 0.0
             a11, a12, a21, a22 = shape[index, 0, 0], shape[index, 0, 1], shape[index, 1, 0], shape[index, 1, 1]
             if not _inverse(normal, keep, cofactor):
                 status = UNCERTAIN
@@ -567,6 +590,7 @@ def match_batch(template, target, at, start, shape, half, taps, extra, noise, li
         result[10] = variance * (a11 * a21 * q_xx + (a11 * a22 + a12 * a21) * q_xy + a12 * a22 * q_yy)
         result[11] = variance * (a21 * a21 * q_xx + 2 * a21 * a22 * q_xy + a22 * a22 * q_yy)
         _held(clean, inverse, keep, variance, shape[index], result)
+        _slow(dx, dy, before, result)
         middle, gap = 0.5 * (result[9] + result[11]), math.hypot(0.5 * (result[9] - result[11]), result[10])
         # Where noise has nearly the slope of the texture, what is taken off for it leaves no covariance at all.
         result[15] = OK if middle - gap > 0 and middle + gap < limits[2] * limits[2] else UNCERTAIN

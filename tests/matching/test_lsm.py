@@ -168,6 +168,23 @@ def test_a_misled_correlation_does_not_lose_what_adjusting_finds():
         assert r.ok.mean() > 0.99 and np.nanmax(np.linalg.norm(r.pixel - truth[inside], axis=1)) < 0.5
 
 
+def test_a_dot_that_turns_about_itself_is_uncertain():
+    """One dot beside the middle of a small window: noise turns the window about it, in steps that hardly shrink."""
+    rng, wrong, found, square = np.random.default_rng(18), 0, 0, 0.0
+    for spacing in (11, 15):
+        dots = np.zeros((300, 300))
+        dots[8::spacing, 8 :: spacing + 1] = 900.0
+        scene = 120 + gaussian_filter(dots, 1.5)
+        left, right = (np.round(scene + rng.normal(0, 2, scene.shape)) for _ in range(2))
+        at = rng.integers(40, 260, (500, 2)).astype(float)
+        r = match_lsm(left, right, at, at + rng.uniform(-1, 1, at.shape), window=11)
+        wrong += (r.ok & ~(np.linalg.norm(r.pixel - at, axis=1) < 1)).sum()
+        found += r.ok.sum()
+        square += np.nansum(((r.pixel - at) / r.sigma) ** 2) / 2
+    assert found > 300 and wrong <= 0.005 * 1000
+    assert square / found < 1.7
+
+
 def test_black_parts_beside_a_picture_have_no_correlation():
     """They hold the tails of the spline of what lies beside them: a millionth of a grey value, and well correlated."""
     rng = np.random.default_rng(16)
