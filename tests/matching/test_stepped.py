@@ -4,19 +4,23 @@ import numpy as np
 import pytest
 
 from solvers.adjustment import Options, solve
-from solvers.matching import Status, lsm_problem, match_lsm, match_ncc, match_stepped
+from solvers.matching import Status, lsm_problem, match_lsm, match_ncc, match_stepped, prepare
 
-from .test_lsm import pair
+from .test_lsm import SHAPE, pair
 
 
 def test_it_agrees_with_the_batch_at_every_stage():
     left, right, at, truth = pair(21, noise=1.0)
+    left, right = prepare(left), prepare(right)
+    between = np.array([0.37, -0.28])  # points are as good between the pixels
+    at, truth = at + between, truth + SHAPE @ between
     for i in range(0, len(at), 20):
         start = truth[i] + [3.3, -2.6]
         seen = match_stepped(left, right, at[i], start, search=8)
         ncc = match_ncc(left, right, at[i:i + 1], start[None], search=8, uniqueness=2.0)
         lsm = match_lsm(left, right, at[i:i + 1], start[None], search=8)
-        assert seen.lsm.pixel == pytest.approx(lsm.pixel) and seen.ncc.score == pytest.approx(ncc.score)
+        assert np.abs(seen.lsm.pixel - lsm.pixel).max() < 1e-6 and np.abs(seen.lsm.sigma - lsm.sigma).max() < 1e-6
+        assert seen.ncc.score == pytest.approx(ncc.score)
         peak = np.array(np.unravel_index(np.nanargmax(seen.surface), seen.surface.shape))[::-1] - 8 + seen.middle
         assert np.abs(peak - ncc.pixel[0]).max() <= 0.5 + 1e-9
         assert np.nanmax(seen.surface) == pytest.approx(ncc.score[0], abs=2e-5)
