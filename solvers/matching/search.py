@@ -144,8 +144,9 @@ class _Search:
             held: dict[int, Features] = {}
             for i, j in pairs:
                 for k in (i, j):
-                    held = held if k in held else {**dict(list(held.items())[-self.options.neighbours :]),
-                                                   k: self.whole(k, features)}
+                    held[k] = held.pop(k) if k in held else self.whole(k, features)
+                while len(held) > self.options.neighbours + 1:
+                    del held[next(iter(held))]
                 yield (held[i], held[j], self.photos[i].interior, self.photos[j].interior), self.pair_key(i, j)
 
         results: dict[Pair, _Common] = {}

@@ -110,6 +110,13 @@ def test_tracks_have_each_photo_once_and_no_twins(ties: Ties) -> None:
         assert apart.min() >= 2.0
 
 
+def test_one_photo_has_more_pairs_than_neighbours(photos: dict[str, np.ndarray]) -> None:
+    where = {"p0": (0.0, 0.0), "p1": (1.0, 0.0), "p2": (0.0, 1.1), "p3": (-1.2, 0.0)}  # p0 is the nearest of all others
+    names = [TiePhoto(n, None, np.array(xy)) for n, xy in where.items()]
+    found = tie_points(names, partial(reader, photos=photos), TieOptions(count=300, window=0, neighbours=1))
+    assert {("p0", "p1"), ("p0", "p2")} <= {(p.first, p.second) for p in found.pairs}
+
+
 def test_points_are_spread(ties: Ties) -> None:
     seen = ties.observations.pixel[ties.observations.image == 1]
     cells = np.unique((seen // [105, 80]).astype(int), axis=0)
