@@ -349,7 +349,7 @@ def _scale(state: State, made: Made, factor: float, name: str, what: str, line: 
     per = scale_of(state, made)
     length = nice(max(span / 8 / factor / per, 1e-9))
     plane = float(to_scene(state, made, _lifted(made.registration, np.zeros(2)))[2])
-    begin = np.array([low[0] + 0.45 * span, low[1] - (0.045 + 0.045 * line) * span, plane])
+    begin = np.array([low[0] + 0.45 * span, low[1] - (0.05 + 0.08 * line) * span, plane])
     end = begin + np.array([factor * length * per, 0, 0])
     tick = np.array([0, 0.008 * span, 0])
     bar = np.array([[begin, end], [begin - tick, begin + tick], [end - tick, end + tick]])

@@ -25,6 +25,8 @@ STAGE = Options(max_iterations=30, max_trials=16, damping=1e-3, step_tolerance=1
 FINAL = Options(max_iterations=120, max_trials=20, damping=1e-4, step_tolerance=1e-4, cost_tolerance=1e-10)
 ROBUST = Options(max_iterations=150, max_trials=20, damping=1e-4, step_tolerance=1e-2, cost_tolerance=1e-5)
 """Reweighting converges in a straight line, not at once."""
+PATIENT = replace(ROBUST, max_iterations=800)
+"""Plane coefficients alone hardly hold a large block: it goes down a long, curved valley (160 photos: 130 rows)."""
 RAYLEIGH = 1.17741
 """Median length of a residual in two coordinates of unit standard deviation."""
 
@@ -94,7 +96,7 @@ def staged(net: Network, h: np.ndarray, xy: np.ndarray, stages: Sequence[str], b
             rough = replace(net, weight=net.weight / max(1.0, spread(problem, x)), loss="huber" if net.loss else None)
             found = run(Registering(rough, Coefficients(stage)), x, stage, found, STAGE)
         else:
-            found = run(problem, x, stage, found)
+            found = run(problem, x, stage, found, PATIENT if net.loss else None)
         photos, xy = found.photos, found.xy
     assert found is not None
     return found

@@ -200,7 +200,7 @@ def test_a_conjugate_point_enters_the_block_and_only_what_moved_is_made_anew(bot
     state = update(state, CancelMosaic())
     state = state.with_room(replace(room(state), wanted={k: v for k, v in room(both).wanted.items() if k == "simultaneous"}))
     x, y = np.mean([r.footprint(k).mean(axis=0) for k in range(len(r.names))], axis=0)
-    state = update(state, ClickMosaic(float(x) + 7.0, float(y) + 4.0))
+    state = update(state, ClickMosaic(float(x) + 24.0, float(y) + 11.0))
     assert len(state.room(Matching).asked) >= 3
     state = work(state, matching_tasks)
     good = [f for f in state.room(Matching).found if f.ok]
