@@ -38,6 +38,22 @@ def svg(fig: Any) -> str:
     return text[text.index("<svg"):]
 
 
+def _name_points(ax: Any, names: Sequence[str], xy: np.ndarray) -> None:
+    """Names beside points (n, 2), each on the side where it covers the fewest points and names before it."""
+    ax.figure.draw_without_rendering()  # so that the limits are those of the finished plan
+    points = ax.transData.transform(xy) * 72 / ax.figure.dpi
+    taken = [(p - 2.5, p + 2.5) for p in points]  # lower and upper corners in printer's points, the marks first
+    for name, at, place in zip(names, points, xy, strict=True):
+        size, best = np.array([3.6 * len(name), 6.0]), (np.inf, np.zeros(2), at, at)
+        for side in ((1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (-1, 0)):
+            low = at + np.array([3.0 if side[0] > 0 else -3 - size[0], (2.5, -3.0, -8.5)[(1, 0, -1).index(side[1])]])
+            covered = sum(bool((low < b).all() and (low + size > a).all()) for a, b in taken)
+            if covered < best[0]:
+                best = (covered, low - at, low, low + size)
+        taken.append(best[2:])
+        ax.annotate(name, place, xytext=best[1], textcoords="offset points", fontsize=6, color="#555555")
+
+
 def plan(points: Sequence[Mapping[str, Any]], enlarged: float) -> str:
     """Plan of horizontal residual vectors and, where they are not too many, 95 % ellipses, both enlarged.
 
@@ -63,9 +79,9 @@ def plan(points: Sequence[Mapping[str, Any]], enlarged: float) -> str:
                 size = 2 * CONFIDENCE_2D * np.sqrt(np.maximum(w, 0)) * enlarged
                 ax.add_patch(Ellipse(at, size[1], size[0], angle=np.degrees(np.arctan2(v[1, 1], v[0, 1])), fill=False,
                                      edgecolor=COLOURS[role], lw=0.9))
-            if few:
-                ax.annotate(p["name"], at, xytext=(3, 3), textcoords="offset points", fontsize=6, color="#555555")
     ax.set_aspect("equal", adjustable="datalim")
+    if few:
+        _name_points(ax, [p["name"] for p in points], every - origin)
     ax.set_xlabel("X [m]" + (f" − {origin[0]:.0f}" if origin.any() else ""))
     ax.set_ylabel("Y [m]" + (f" − {origin[1]:.0f}" if origin.any() else ""))
     ax.ticklabel_format(useOffset=False, style="plain")
