@@ -17,7 +17,8 @@ from .state import State
 
 @dataclass(frozen=True)
 class Fly(Action):
-    """Choose a point or an image and let the browser that asked look at it, or "through" an image, or "back" from there.
+    """Choose a point or an image and let the browser that asked look at it, or "through" an image, or "back" from there, or at
+    all "points" from where the images are.
 
     client: its number, None for all.
     """
@@ -53,6 +54,8 @@ def flight(state: State, action: Fly, position: np.ndarray, look_at: np.ndarray)
         if exterior is None:
             return None
         at, far = exterior.centre - exterior.m[2] * depth, 6.0 * depth
+    elif action.what == "points":
+        return _before_points(state)
     else:
         return None
     if not np.isfinite(at).all():
@@ -61,6 +64,19 @@ def flight(state: State, action: Fly, position: np.ndarray, look_at: np.ndarray)
     length = float(np.linalg.norm(way))
     way = way / length if length > 1e-9 else np.array([0.4, -0.8, 0.45])
     return at + far * way, at
+
+
+def _before_points(state: State) -> tuple[np.ndarray, np.ndarray] | None:
+    """Position and point looked at that show all known points as the images see them; None where no point is known."""
+    known = state.block.points.xyz[np.isfinite(state.block.points.xyz).all(axis=1)]
+    if not len(known):
+        return None
+    xyz = state.assets.frame.to_local(known)
+    at, far = xyz.mean(axis=0), 1.2 * max(float(np.linalg.norm(np.ptp(xyz, axis=0))), 0.1)
+    seen = [e.centre for i in state.block.images if (e := any_exterior(state, i.name)) is not None]
+    way = np.mean(seen, axis=0) - at if seen else np.array([0.4, -0.8, 0.45])
+    way = way / max(float(np.linalg.norm(way)), 1e-9) + np.array([0.0, -0.15, 0.1])  # never along the vertical
+    return at + far * way / np.linalg.norm(way), at
 
 
 def through(state: State) -> Fly:

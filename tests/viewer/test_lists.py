@@ -131,5 +131,9 @@ def test_a_flight_ends_near_what_was_asked_for(solved: State) -> None:
     image = flight(solved, Fly("image", "right"), position, look_at)
     assert image is not None and np.linalg.norm(image[1][:2] - [55, 25]) < 30
     assert flight(solved, Fly("image", "nobody"), position, look_at) is None
+    every = flight(solved, Fly("points", ""), position, look_at)
+    xyz = solved.assets.frame.to_local(solved.block.points.xyz)
+    assert every is not None and np.allclose(every[1], np.nanmean(xyz, axis=0))
+    assert np.linalg.norm(every[0] - every[1]) > np.linalg.norm(np.ptp(xyz, axis=0)) and every[0][2] > xyz[:, 2].max()
     assert update(solved, Fly("image", "right")).image == "right" and update(solved, Fly("point", "G03")).point == "G03"
     assert update(solved, ChoosePoint("G03")).point == "G03"

@@ -16,6 +16,7 @@ from ..epochs import (
     reopened,
     scene,
 )
+from ..flying import Fly
 from ..state import State
 from ..tabs import Command, Desk, Tab
 from ..theme import CHECK, RESIDUAL
@@ -31,7 +32,12 @@ class EpochsPanel:
     def __init__(self, desk: Desk) -> None:
         gui, emit = desk.gui, desk.emit
         self._read = gui.add_button("Show the latest comparison", hint="Reads the project's latest run of: collinea compare.")
-        self._read.on_click(lambda _: emit(reopened(desk.state())))
+
+        def show(client: int | None) -> None:
+            emit(reopened(desk.state()))
+            emit(Fly("points", "", client))
+
+        self._read.on_click(lambda event: show(event.client_id))
         self._epoch = gui.add_slider("Epoch", 0, 1, 1, 0, hint="Epoch shown: 0 is the first, from which movements count.")
         bind(self._epoch, emit, lambda value: GoToEpoch(round(value)))
         self._factor = gui.add_dropdown("Exaggeration [times]", (FIT, *(f"{v:g}" for v in EXAGGERATIONS)),
@@ -84,6 +90,7 @@ TAB = Tab(
     order=60,
     commands=(
         Command("Show the latest comparison of epochs", reopened),
+        Command("Look at all points", Fly("points", "")),
         Command("Next epoch", GoToEpoch(1, relative=True)),
         Command("Previous epoch", GoToEpoch(-1, relative=True)),
     ),
