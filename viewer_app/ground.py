@@ -12,6 +12,7 @@ from . import theme
 from .bundle_state import Bundle, inner_extent, inner_places
 from .kept import by_identity
 from .matching_state import Matching
+from .mosaic_state import Mosaic
 from .state import Assets, State
 from .values import Label, Mesh, Plane, PointCloud, Scene, Segments
 
@@ -39,10 +40,19 @@ def site(state: State) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _instead(state: State) -> np.ndarray:
-    """Places (n, 3) m where no point is known: tie points as a bundle placed them, else where the photos were taken from."""
+    """Places (n, 3) m where no point is known: tie points as a bundle placed them, else the photos' outlines on a mosaic, else
+    where the photos were taken from."""
     room = state.room(Bundle)
     if room.rows and room.layout is not None:
         return inner_places(room.layout, room.rows[-1 if room.result else 0])
+    mosaics = state.room(Mosaic).made
+    if made := mosaics.get("simultaneous") or mosaics.get("sequential"):
+        if made.registration.unit == "m":
+            from .mosaic_actions import to_scene  # which asks for the site of mosaics without a scale
+
+            ring = np.concatenate([made.registration.footprint(k) for k in range(len(made.registration.names))])
+            ring = ring[np.isfinite(ring).all(axis=1)]
+            return to_scene(state, made, np.column_stack([ring, made.registration.heights(ring)]))
     network = state.room(Matching).network
     if network is not None and len(network.xyz):
         low, high = np.percentile(network.xyz, [1, 99], axis=0)
