@@ -111,6 +111,9 @@ def convert(source: Path | str, out: Path | str, wanted: Wanted = PLAIN, ask: As
         return _world_of_raster(source, out)
     project = (source / "project.toml").is_file()
     scene, block, known = _of_project(source, wanted) if project else (_of_file(source, wanted, ask, tell), None, ())
+    if project and wanted.crs and scene.crs == "local" and target not in GROUND:
+        said = crs.short_crs(wanted.crs)
+        scene = replace(scene, crs=said).with_notes(f"crs: the project's local coordinates are taken in {said}")
     scene = _with_camera(scene, wanted)
     if target == "project":
         return _to_project(scene, out, wanted)

@@ -75,6 +75,9 @@ def find_run(at: Path) -> tuple[Path, Path]:
         return at.parent.parent, at
     read_project(at)
     runs = [r for r in (latest_run(at, "result.json", c) for c in COMMANDS) if r is not None]
+    alone = latest_run(at, "result.json", "mosaic") if not runs else None
+    if alone is not None:
+        return at, alone
     if not runs:
         raise BadProject(f"{at}: there is no run to report on; make one with: collinea adjust {at} (or resect)")
     return at, max(runs, key=lambda r: r.stat().st_mtime)
@@ -84,12 +87,12 @@ def material(folder: Path, run: Path) -> Material:
     """All that the report of a run is made of."""
     from . import __version__
 
-    block, result = read_project(folder), read_result(run)
+    command = run.name.split("-")[2]
+    block, result = read_project(folder), read_result(run) if command != "mosaic" else {}  # a mosaic has a section of its own
     said = list(_older(folder, run))
     known = _known(block, result)
     ground, name = _ground(folder, block, known, said)
-    mosaic = latest_run(folder, "result.json", "mosaic")
-    command = run.name.split("-")[2]
+    mosaic = run if command == "mosaic" else latest_run(folder, "result.json", "mosaic")
     when = datetime.strptime(run.name[:15], "%Y%m%d-%H%M%S")
     return Material(block, command, run.name, f"{when:%Y-%m-%d %H:%M:%S}", __version__, result, _traces(run, result),
                     () if "points" in result else _on_ground(block, known), _outlines(block, known, ground, said), name,

@@ -224,3 +224,17 @@ def test_warnings_that_differ_by_a_number_are_all_told():
     weak = [(f"{i}, perspective", f"weak by {n}") for n, i in enumerate("abc")]
     assert grouped([("", "yaw of D1 is off"), ("", "yaw of D2 is off"), ("", "yaw of D1 is off"), *weak]) == [
         "yaw of D1 is off", "yaw of D2 is off", "a, perspective: weak by 0 (alike for b, perspective, c, perspective)"]
+
+
+def test_a_mosaic_alone_is_reported(tmp_path):
+    folder = tmp_path / "demo"
+    shutil.copytree(DEMO, folder, ignore=shutil.ignore_patterns("runs"))
+    run = folder / "runs" / "20260101-000000-mosaic"
+    run.mkdir(parents=True)
+    (run / "result.json").write_text(json.dumps({
+        "kind": "uncontrolled", "register": "simultaneous", "width": 70, "height": 50, "gsd": 0.016, "unit": "m", "rms_px": 1.7,
+        "seam_rms": 2.9, "warnings": ["photos are bent by 6 px"], "images": [{"name": "DSC00229", "used": True, "sigma": 5.2}]}))
+    made = report_project(folder, tmp_path / "r.html")
+    assert made.run == run and made.sections[0] == "Warnings" and "Mosaic" in made.sections and made.warnings == 1
+    page = (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert page.count("photos are bent by 6 px") == 1 and "1.70" in page

@@ -249,3 +249,12 @@ def test_columns_of_orientations_are_said_or_refused(tmp_path: Path, capsys: pyt
     assert main(words) == 1 and "for X there is 'E' and 'Easting'" in capsys.readouterr().err
     assert main([*words, "--map", "image=photo,X=Easting,Y=N,Z=H,omega=omega,phi=phi,kappa=kappa"]) == 0
     assert (tmp_path / "o.txt").read_text().splitlines()[1].split()[1] == "684210.0"
+
+
+def test_a_local_project_may_be_given_its_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What the refusal of a list that begins with its crs asks for, works."""
+    demo, out = str(Path(__file__).parents[2] / "assets" / "demo"), str(tmp_path / "gcp_list.txt")
+    assert main(["convert", demo, out]) == 1 and "give --crs" in capsys.readouterr().err
+    assert main(["convert", demo, out, "--crs", "EPSG:32725"]) == 0
+    assert "local coordinates are taken in EPSG:32725" in capsys.readouterr().out
+    assert (tmp_path / "gcp_list.txt").read_text().startswith("EPSG:32725\n679")
