@@ -15,6 +15,7 @@ from tests.browser import PATIENCE, ViserPage, require_chromium, viser_page
 from viewer_app.actions import Action, Show
 from viewer_app.app import App
 from viewer_app.paint_viser import frustum_pose
+from viewer_app.panels.share import file_name
 
 DEMO = Path(__file__).resolve().parents[2] / "assets" / "demo"
 HEAVY = ("terrain", "labels", "photos", "ellipsoids")
@@ -120,10 +121,11 @@ def expected_pixels(app: App, v: ViserPage) -> np.ndarray:
     return seen[:, :2] / seen[:, 2:] * focal + np.array([camera.image_width, camera.image_height]) / 2
 
 
-def downloaded(v: ViserPage, button: str, name: str) -> bytes:
+def downloaded(app: App, v: ViserPage, button: str, kind: str) -> bytes:
+    """The file that a button of the Export tab hands over; kind: how its name ends."""
     v.open_tab("Export")
     v.click_button(button)
-    link = v.page.locator(f"a[download$='.{name}']")
+    link = v.page.locator(f"a[download='{file_name(app.state)}.{kind}']")  # that of an earlier file may still be there
     link.wait_for(timeout=120_000)
     with v.page.expect_download() as download:
         link.click()

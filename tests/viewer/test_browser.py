@@ -555,7 +555,7 @@ def test_dark_and_light(session: Session) -> None:
 
 
 def test_the_run_opens_in_rerun_beside_the_scene(session: Session) -> None:
-    _, v = session
+    app, v = session
     v.open_tab("Project")
     v.click_button("Open in rerun")
     frame: Any = v.page.locator("iframe[title=rerun]")
@@ -563,7 +563,10 @@ def test_the_run_opens_in_rerun_beside_the_scene(session: Session) -> None:
     address = frame.get_attribute("src")
     assert address.startswith(("http://127.0.0.1:", "http://localhost:"))
     v.wait_until(lambda: any(f.url.startswith(address.split("?")[0]) for f in v.page.frames), "rerun's page")
-    assert v.page.request.get(address).status == 200
+    origin = address.split("/?")[0]
+    v.wait_until(lambda: f"{origin}/recording.rrd" in v.log.answered, "rerun to start and fetch the recording", 200)
+    inside = [url for url in v.log.requests if not url.startswith(f"http://127.0.0.1:{app.port}/")]
+    assert all(url.startswith((origin, "data:", "blob:", f"ws://127.0.0.1:{app.port}")) for url in inside)  # and nobody else
     v.open_tab("Close")
     v.click_button("Close rerun")
     frame.wait_for(state="detached")

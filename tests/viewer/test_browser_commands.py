@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 import viser
+from rerun.chunk import RrdReader
 
 from tests.browser import PATIENCE, ViserPage
 from tests.viewer.sessions import (
@@ -180,10 +181,30 @@ def test_leaving_and_coming_back_loses_nothing(session: Session) -> None:
     act(app, v, Step("last"))
 
 
-def test_tables_and_project_are_handed_over(session: Session) -> None:
-    _, v = session
-    with zipfile.ZipFile(io.BytesIO(downloaded(v, "Tables as CSV", "tables.zip"))) as tables:
+def test_the_tables_are_handed_over(session: Session) -> None:
+    app, v = session
+    with zipfile.ZipFile(io.BytesIO(downloaded(app, v, "Tables as CSV", "tables.zip"))) as tables:
         assert set(tables.namelist()) == {"points.csv", "images.csv", "orientations.csv"}
+
+
+def test_the_recording_is_handed_over(session: Session, tmp_path: Path) -> None:
+    app, v = session
+    path = tmp_path / "run.rrd"
+    path.write_bytes(downloaded(app, v, "Recording as RRD", "rrd"))
+    paths = {chunk.entity_path for chunk in RrdReader(path).stream()}
+    assert {f"/images/{i.name}/{m}/camera" for i in app.state.block.images for m in ("perspective", "orthogonal")} <= paths
+
+
+def test_the_replay_is_handed_over(session: Session) -> None:
+    app, v = session
+    page = downloaded(app, v, "Replay as HTML", "html")
+    assert page.lstrip()[:15].lower() == b"<!doctype html>" and 1e5 < len(page) < 10e6
+
+
+def test_the_project_is_handed_over_as_one_file(session: Session) -> None:
+    app, v = session
+    with zipfile.ZipFile(io.BytesIO(downloaded(app, v, "Project as ZIP", "zip"))) as archive:
+        assert {"demo/project.toml", "demo/points.csv", "demo/observations.csv"} <= set(archive.namelist())
 
 
 @contextlib.contextmanager

@@ -103,6 +103,6 @@ def test_that_measurement_fails_when_the_y_axis_is_flipped(points_only: Session)
 
 
 def test_the_scene_is_a_picture_in_4k(session: Session) -> None:
-    _, v = session
-    with Image.open(io.BytesIO(downloaded(v, "Picture as PNG", "png"))) as picture:
+    app, v = session
+    with Image.open(io.BytesIO(downloaded(app, v, "Picture as PNG", "png"))) as picture:
         assert picture.size == (3840, 2160) and len(picture.convert("RGB").resize((96, 54)).getcolors(10_000) or ()) > 20

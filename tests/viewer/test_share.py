@@ -76,17 +76,21 @@ def test_nothing_wished_for_is_a_sentence(folder: Path, capsys: pytest.CaptureFi
         read_project(folder / "nowhere")
 
 
-@pytest.mark.browser
-@pytest.mark.timeout(120)
-def test_the_replay_plays_from_disk_without_a_server(shared: Path) -> None:
+def plays(page_file: Path, name: str) -> None:
+    """Opened from disk, without a server, a node of the page moves, and nothing is asked of anyone."""
     require_chromium()
-    with chromium_page((shared / "replay.html").as_uri(), size=(640, 480)) as (page, log):
-        name = "/images/DSC00229/perspective/camera"
+    with chromium_page(page_file.as_uri(), size=(640, 480), drawn=False) as (page, log):
         page.wait_for_function("n => window.__viserMutable?.nodeRefFromName?.[n]", arg=name, timeout=90_000)
         first = page.evaluate("n => [...window.__viserMutable.nodePoseData[n].position]", name)
         moved = "([n, p]) => window.__viserMutable.nodePoseData[n].position.some((v, i) => Math.abs(v - p[i]) > 1e-3)"
         page.wait_for_function(moved, arg=[name, first], timeout=60_000)
         assert log.errors == [] and not [url for url in log.requests if not LOCAL.match(url)]
+
+
+@pytest.mark.browser
+@pytest.mark.timeout(240)
+def test_the_replay_plays_from_disk_without_a_server(shared: Path) -> None:
+    plays(shared / "replay.html", "/images/DSC00229/perspective/camera")
 
 
 def test_a_picture_without_a_browser_is_a_sentence(monkeypatch: pytest.MonkeyPatch, state: State) -> None:
@@ -104,7 +108,9 @@ def test_the_scene_is_drawn_as_a_picture_of_the_size_asked_for(state: State) -> 
     assert (np.abs(drawn - 255).sum(axis=2) > 24).mean() > 0.02  # something is drawn
 
 
-def test_a_replay_of_fifty_rows_stays_below_ten_megabytes(state: State) -> None:
+@pytest.mark.browser
+@pytest.mark.timeout(240)
+def test_a_replay_of_fifty_rows_stays_below_ten_megabytes_and_plays_from_disk(state: State, tmp_path: Path) -> None:
     rows = solve_all(state).solution("perspective")
     assert rows and rows.orientation
     last = rows.rows[-1]
@@ -112,3 +118,5 @@ def test_a_replay_of_fifty_rows_stays_below_ten_megabytes(state: State) -> None:
     solutions = {("left", "perspective"): replace(rows, rows=tuple(many))}
     text = replay_html(replace(state, work=replace(state.work, solutions=solutions), row=49))
     assert 1e5 < len(text.encode()) < 10e6
+    (tmp_path / "replay.html").write_text(text, encoding="utf-8")
+    plays(tmp_path / "replay.html", "/images/left/perspective/camera")
