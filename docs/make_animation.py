@@ -1,6 +1,8 @@
-"""The pictures of the README, from the real viewer on the demo in Chromium: `python docs/make_animation.py [FOLDER]`.
+"""The pictures of the viewer in README and docs, from the real viewer on the demo in Chromium:
+`python docs/make_animation.py [FOLDER]`.
 
-docs/converging.webp: the adjustment row by row; docs/viewer-1280.png and docs/viewer-2560.png: the viewer as it opens.
+converging.webp: the adjustment row by row; viewer-1280.png and viewer-2560.png: the viewer as it opens; bundle-1280.png and
+viewer-mosaic.png: the tabs Bundle and Mosaic with what they made.
 """
 
 from __future__ import annotations
@@ -18,7 +20,9 @@ sys.path.insert(0, str(DOCS.parent))
 from tests.browser import ViserPage, viser_page  # noqa: E402
 from viewer_app.actions import GoTo, Show  # noqa: E402
 from viewer_app.app import App  # noqa: E402
+from viewer_app.bundle_state import RunBundle, SetBundle  # noqa: E402
 from viewer_app.figures import ELEMENTS, RESIDUALS, ChooseFigure  # noqa: E402
+from viewer_app.mosaic_actions import MakeMosaic  # noqa: E402
 
 SIZE, HOLD, END = (1280, 800), 700, 3000
 """Pixels of the page; how long a row is shown and how long the last one, milliseconds."""
@@ -43,9 +47,11 @@ def ready(app: App, v: ViserPage) -> None:
     raise SystemExit("the page never comes to rest")
 
 
-def still(app: App, size: tuple[int, int], path: Path) -> None:
+def still(app: App, size: tuple[int, int], path: Path, tab: str = "") -> None:
     with viser_page(app.port, size=size) as v:
         v.page.add_style_tag(content=QUIET)
+        if tab:
+            v.open_tab(tab)
         ready(app, v)
         v.screenshot(path)
 
@@ -78,6 +84,14 @@ def main(out: Path = DOCS) -> None:
         app.emit(ChooseFigure(RESIDUALS))
         app.emit(Show("dark", True))
         still(app, (2560, 1440), out / "viewer-2560.png")
+        app.emit(Show("dark", False))
+        app.emit(RunBundle())
+        still(app, SIZE, out / "bundle-1280.png", "Bundle")
+        app.emit(SetBundle("alone", False))
+        for name in ("perspective", "orthogonal", "rays", "bundle", "photos"):
+            app.emit(Show(name, False))
+        app.emit(MakeMosaic("both"))
+        still(app, SIZE, out / "viewer-mosaic.png", "Mosaic")
     shutil.rmtree(folder.parent)
 
 

@@ -41,6 +41,14 @@ FLAGS = (
     # a page that needs the internet shows itself
     "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1, EXCLUDE localhost",
 )
+UNCOVERED = """new MutationObserver(() => {
+  for (const e of document.querySelectorAll('[role=alert]:not([data-closed])')) {
+    if (!/software webgl/i.test(e.innerText)) continue;
+    e.dataset.closed = '1';
+    e.querySelector('button')?.click();
+  }
+}).observe(document, {childList: true, subtree: true});"""
+"""Closes viser's notice about software rendering, which lies over the canvas, whenever it comes."""
 BLIND = (
     "for (const name of ['drawArrays', 'drawElements', 'drawArraysInstanced', 'drawElementsInstanced', 'drawRangeElements'])"
     " WebGL2RenderingContext.prototype[name] = () => {};"
@@ -119,8 +127,8 @@ def chromium_page(url: str, *, size: tuple[int, int] = (1280, 800), drawn: bool 
         try:
             context = browser.new_context(viewport={"width": size[0], "height": size[1]}, device_scale_factor=1,
                                           accept_downloads=True, reduced_motion="reduce")
-            if not drawn:
-                context.add_init_script(BLIND)
+            for script in (UNCOVERED,) if drawn else (UNCOVERED, BLIND):
+                context.add_init_script(script)
             page = context.new_page()
             page.set_default_timeout(1000 * PATIENCE)
             log = Log()
@@ -180,8 +188,8 @@ class ViserPage:
     def wait_frames(self, n: int = 2, timeout: float = PATIENCE) -> None:
         """Until n more frames were drawn; drawing is on demand, so one is asked for."""
         start = self.page.evaluate("() => window.__viserTestpoints.rendererInfo.render.frame")
-        self.page.evaluate("() => window.__viserMutable.requestRender()")
-        self.page.wait_for_function("t => window.__viserTestpoints.rendererInfo.render.frame >= t", arg=start + n,
+        self.page.wait_for_function("t => { window.__viserMutable.requestRender();"
+                                    " return window.__viserTestpoints.rendererInfo.render.frame >= t; }", arg=start + n,
                                     timeout=timeout * 1000)
 
     def wait_still(self, tolerance: float = 0.0, timeout: float = PATIENCE) -> Image.Image:
@@ -208,10 +216,8 @@ class ViserPage:
     # -- pictures
 
     def dismiss_notifications(self) -> None:
-        """Close what lies over the canvas, such as viser's notice about software rendering."""
+        """Close what lies over the canvas, such as the offer of a file."""
         close = self.page.locator("[role=alert] button")
-        with contextlib.suppress(Exception):  # there may be none
-            close.first.wait_for(timeout=3000)
         for _ in range(10):
             if close.count() == 0:
                 return

@@ -47,7 +47,6 @@ def viewed(
             app.emit(Show(name, False))
         with viser_page(app.port, query=f"fixedDpr={1 if drawn else COARSE:g}", size=size, drawn=drawn) as v:
             settle(app, v)
-            v.dismiss_notifications()
             yield app, v
 
 
@@ -62,6 +61,12 @@ def settle(app: App, v: ViserPage) -> None:
     app.server.flush()
     v.page.wait_for_function("n => window.collineaShown >= n", arg=number)
     v.page.evaluate("() => new Promise(done => setTimeout(() => setTimeout(done)))")
+
+
+def keys_work(v: ViserPage) -> None:
+    """Until a page that was just opened has its panels, and with them its keys."""
+    v.page.get_by_role("tab", name="Project", exact=True).wait_for()
+    v.page.evaluate("() => new Promise(done => requestAnimationFrame(() => setTimeout(() => setTimeout(done))))")
 
 
 def act(app: App, v: ViserPage, *actions: Action) -> None:

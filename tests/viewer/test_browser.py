@@ -23,6 +23,7 @@ from tests.viewer.sessions import (
     demo_session,
     expected_pixels,
     has_pose,
+    keys_work,
     settle,
     until,
 )
@@ -260,6 +261,7 @@ def test_a_second_browser_sees_and_changes_the_same_state(session: Session) -> N
         second.wait_connected()
         v.wait_until(lambda: has_pose(app, second, camera_path(app)), "the frustum in the second browser")
         assert app.state.row == 0 and second.pose(camera_path(app)) == v.pose(camera_path(app))
+        keys_work(second)
         second.hotkey("End")
         v.wait_until(
             lambda: app.state.row == app.state.last_row and has_pose(app, v, camera_path(app)),

@@ -26,6 +26,7 @@ from tests.viewer.sessions import (
     demo_session,
     downloaded,
     has_pose,
+    keys_work,
     settle,
     until,
 )
@@ -175,7 +176,7 @@ def test_leaving_and_coming_back_loses_nothing(session: Session) -> None:
     v.wait_until(lambda: has_pose(app, v, camera_path(app)), "the frustum")
     assert app.state is state and name in app.state.work.off
     v.wait_until(lambda: v.page.locator(f"tr[data-point='{name}']").inner_text().startswith("☐"), "the point's row")
-    v.dismiss_notifications()
+    keys_work(v)
     v.hotkey("Control+z")
     v.wait_until(lambda: name not in app.state.work.off, "undo")
     act(app, v, Step("last"))
@@ -250,6 +251,7 @@ def test_a_restart_reconnects_and_restores_the_state(session: Session, tmp_path_
                 one, two = before.solution("perspective"), now.solution("perspective")
                 assert one and two and one.orientation and two.orientation
                 assert (one.orientation.exterior.vector == two.orientation.exterior.vector).all()
+                keys_work(v)
                 v.hotkey("Control+z")
                 v.wait_until(lambda: not second.state.work.off, "undo after the restart")
     finally:

@@ -33,7 +33,6 @@ def test_tie_points_are_found_placed_coloured_and_looked_at(tmp_path: Path) -> N
     with App(flight(tmp_path / "p")) as app, viser_page(app.port, size=(1150, 760), drawn=False) as v:
         v.page.set_default_timeout(60_000)
         v.wait_until(app.settled, "the viewer to settle", 100)
-        v.dismiss_notifications()
         v.open_tab("Matching")
         v.page.locator("#collinea-left").wait_for()
 
