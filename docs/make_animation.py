@@ -20,7 +20,7 @@ sys.path.insert(0, str(DOCS.parent))
 from tests.browser import ViserPage, viser_page  # noqa: E402
 from viewer_app.actions import GoTo, Show  # noqa: E402
 from viewer_app.app import App  # noqa: E402
-from viewer_app.bundle_state import RunBundle, SetBundle  # noqa: E402
+from viewer_app.bundle_state import RunBundle  # noqa: E402
 from viewer_app.figures import ELEMENTS, RESIDUALS, ChooseFigure  # noqa: E402
 from viewer_app.mosaic_actions import MakeMosaic  # noqa: E402
 
@@ -30,6 +30,8 @@ WIDTH = 960
 QUIET = "[role=alert] { display: none !important }"
 """Without the notice that nothing but the processor draws."""
 LARGEST = 2_000_000
+BEFORE_MOSAIC = ("perspective", "orthogonal", "rays", "bundle", "terrain")
+"""What would hide the mosaic."""
 
 
 def ready(app: App, v: ViserPage) -> None:
@@ -74,25 +76,34 @@ def converging(app: App, path: Path) -> None:
     raise SystemExit(f"{path} is larger than {LARGEST} bytes")
 
 
-def main(out: Path = DOCS) -> None:
+def demo() -> Path:
+    """A copy of the demo project."""
     folder = Path(tempfile.mkdtemp()) / "demo"
     shutil.copytree(DOCS.parent / "assets" / "demo", folder, ignore=shutil.ignore_patterns("runs"))
-    with App(folder) as app:
+    return folder
+
+
+def tabs(out: Path) -> None:
+    """The tabs Bundle and Mosaic, each in a viewer of its own."""
+    with App(demo()) as app:
+        app.emit(RunBundle())
+        still(app, SIZE, out / "bundle-1280.png", "Bundle")
+    with App(demo()) as app:
+        for name in BEFORE_MOSAIC:
+            app.emit(Show(name, False))
+        app.emit(MakeMosaic("both"))
+        still(app, SIZE, out / "viewer-mosaic.png", "Mosaic")
+
+
+def main(out: Path = DOCS) -> None:
+    with App(demo()) as app:
         still(app, SIZE, out / "viewer-1280.png")
         app.emit(ChooseFigure(ELEMENTS))
         converging(app, out / "converging.webp")
         app.emit(ChooseFigure(RESIDUALS))
         app.emit(Show("dark", True))
         still(app, (2560, 1440), out / "viewer-2560.png")
-        app.emit(Show("dark", False))
-        app.emit(RunBundle())
-        still(app, SIZE, out / "bundle-1280.png", "Bundle")
-        app.emit(SetBundle("alone", False))
-        for name in ("perspective", "orthogonal", "rays", "bundle", "photos"):
-            app.emit(Show(name, False))
-        app.emit(MakeMosaic("both"))
-        still(app, SIZE, out / "viewer-mosaic.png", "Mosaic")
-    shutil.rmtree(folder.parent)
+    tabs(out)
 
 
 if __name__ == "__main__":
