@@ -47,6 +47,7 @@ class Options:
     step_tolerance: float = 1e-8  # standard deviations
     gradient_tolerance: float = 1e-11  # scaled gradient, relative to the residuals (a cosine)
     cost_tolerance: float = 1e-15  # relative fall of the cost
+    shift_tolerance: float = 0.0  # standard errors (all unknowns free, times sigma0) that the last step moves any of them by
     accept_all: bool = False  # Gauss-Newton: take every finite step, never damp
 
     @classmethod
@@ -70,7 +71,7 @@ def iterate(problem: Problem, x0: np.ndarray, options: Options | None = None) ->
     normal, damping, growth, penalty = problem.normal(x), options.damping, 2.0, 0.0
     yield Iteration(0, x, cost, _sigma0(cost, problem.dof), np.nan, _gradient(normal, cost), damping, 0)
     for index in range(1, options.max_iterations + 1):
-        stop, fall, used, trial, length, reach = None, -np.inf, damping, 0, np.nan, np.nan
+        stop, fall, used, trial, length, reach, settled = None, -np.inf, damping, 0, np.nan, np.nan, False
         proposal, new_cost, new_misclosure = x, cost, misclosure
         for trial in range(1, options.max_trials + 1):
             used = damping
@@ -87,7 +88,9 @@ def iterate(problem: Problem, x0: np.ndarray, options: Options | None = None) ->
                 fall = fall if np.isfinite(new_cost) and new_cost < 1e15 * first else -np.inf
                 break
             if fall >= 0:
-                expected = _dot(dx, normal.gradient) / 2 + damping * _dot(scaled, scaled) / 2
+                held = damping * _dot(scaled, scaled) / 2  # what damping keeps back
+                expected = _dot(dx, normal.gradient) / 2 + held
+                settled = _settled(expected, held, cost, problem.dof, options.shift_tolerance)
                 ratio = fall / expected if expected > 0 else 1.0
                 damping, growth = damping * max(1 / 3, 1 - (2 * min(ratio, 1.0) - 1) ** 3), 2.0
                 break
@@ -103,7 +106,7 @@ def iterate(problem: Problem, x0: np.ndarray, options: Options | None = None) ->
         del normal  # never two of them in memory
         normal = problem.normal(x)
         gradient = _gradient(normal, cost)
-        if length <= options.step_tolerance:
+        if length <= options.step_tolerance or settled:
             stop = "step"
         elif not options.accept_all and gradient <= options.gradient_tolerance and not misclosure.any():
             stop = "gradient"
@@ -125,6 +128,12 @@ def solve(problem: Problem, x0: np.ndarray, options: Options | None = None,
 def _dot(a: np.ndarray, b: np.ndarray) -> float:
     """Their product, without BLAS, which would wake its threads for long vectors and let them wait in a busy loop."""
     return float((a * b).sum())
+
+
+def _settled(expected: float, held: float, cost: float, dof: int, tolerance: float) -> bool:
+    """Whether no unknown moves by more than `tolerance` of its standard error times sigma0: the largest such shift, squared, is
+    at most dx^T N dx, twice the fall that is expected. Damping must have kept back next to nothing."""
+    return 0 < expected <= 0.5 * tolerance**2 * 2 * cost / max(dof, 1) and held <= 0.1 * expected
 
 
 def _sigma0(cost: float, dof: int) -> float:

@@ -97,9 +97,10 @@ def with_corners(block: Block, corners: Iterable[CornerControl]) -> Block:
     for c in corners:
         if c.image in priors:
             raise BadProject(f"image '{c.image}' has its corners twice; keep one set")
-        block.image_index(c.image)
         o = corner_orientation(block, c)
-        priors[c.image] = Prior(o.exterior.centre, o.exterior.angles, covariance=o.covariance)
+        was = block.images[block.image_index(c.image)].prior or Prior()
+        priors[c.image] = replace(was, centre=o.exterior.centre, angles=o.exterior.angles, sigma_m=None, sigma_rad=None,
+                                  covariance=o.covariance)
     return replace(block, images=tuple(replace(i, prior=priors.get(i.name, i.prior)) for i in block.images))
 
 

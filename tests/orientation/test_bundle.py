@@ -12,6 +12,7 @@ from solvers.adjustment.losses import COSTS, LOSSES
 from solvers.geometry import rotation
 from solvers.orientation.bundle import BundleRequest, adjust, conclude_bundle, exteriors, prepare_bundle
 from solvers.orientation.bundle.datum import motions, similarity
+from solvers.orientation.bundle.problem import Bundle
 from solvers.orientation.bundle.statistics import defects
 from solvers.simulation import calibration_plate, field_long_range, ono_stereo, ono_triplet, uav_block
 from tests.checks import assert_same, check_jacobian, chi_square_band, normalised_error
@@ -40,7 +41,7 @@ def test_jacobian_against_differences(free, datum, loss):
     some = replace(of, image=of.image[keep], point=of.point[keep], pixel=of.pixel[keep], sigma=of.sigma[keep])
     request = BundleRequest(datum=datum, free=free, loss=loss, images=("plate1", "plate2", "plate4"))
     start = prepare_bundle(with_priors(replace(block, observations=some), 2), request)
-    problem = replace(start.problem, inner=None)
+    problem = Bundle(start.problem.network, None, start.problem.compiled)
     rng = np.random.default_rng(2)
     u = len(problem.normal(start.x0).gradient)
     check_jacobian(problem, problem.retract(start.x0, rng.normal(size=u) / problem.normal(start.x0).scale), rtol=3e-6)

@@ -15,6 +15,7 @@ from ...cameras import PARAMETERS
 from ...errors import BadProject, DegenerateGeometry
 from ...geometry import Exterior, LocalFrame
 from ..single import camera_manifest
+from .carry import Carried
 from .datum import Inner
 from .given import BundleRequest, Given, given, network
 from .network import Network
@@ -31,6 +32,9 @@ from .statistics import datum_defects, statistics
 
 ROBUST = replace(BUNDLE, max_iterations=200, step_tolerance=1e-4, cost_tolerance=1e-10)
 """Reweighting converges in a straight line, not at once."""
+
+SHIFT = 1e-3
+"""Of its standard error: what the last step of a block placed by priors moves an unknown by, at most."""
 
 
 class Watch(Protocol):
@@ -143,7 +147,8 @@ def prepare_bundle(block: Block, request: BundleRequest, begun: Begun | None = N
     net, x0, left = network(data, poses, xyz)
     first, x0 = (x0, x0) if begun is None else _further(data, net, x0, begun)
     inner = _inner(data, net, first) if request.datum == "free" else None
-    problem = Bundle.of(net, inner, None if request.compiled is None else not request.compiled)
+    kind = Carried if _weakly_placed(net, request) else Bundle
+    problem = kind.of(net, inner, None if request.compiled is None else not request.compiled)
     if inner:
         x0 = inner.restored(net, x0)
     elif named := datum_defects(problem, x0):
@@ -159,7 +164,15 @@ def prepare_bundle(block: Block, request: BundleRequest, begun: Begun | None = N
         twin, x0, how, told = orthogonal_start(problem, x0, data, ROBUST)
         return BundleStart(twin, x0, how, {**_manifest(data, net), "model": "orthogonal"}, data, (*left, *said, *told))
     x0 = x0 if begun else softened(problem, x0)
-    return BundleStart(problem, x0, ROBUST if request.loss else BUNDLE, _manifest(data, net), data, (*left, *said))
+    options = ROBUST if request.loss else BUNDLE
+    if isinstance(problem, Carried):
+        x0, options = x0 if begun else problem.carried(x0), replace(options, shift_tolerance=SHIFT)
+    return BundleStart(problem, x0, options, _manifest(data, net), data, (*left, *said))
+
+
+def _weakly_placed(net: Network, request: BundleRequest) -> bool:
+    """Whether images' priors, and no fixed point, say where a perspective network is."""
+    return request.model == "perspective" and any(net.priors) and net.unknown == len(net.points)
 
 
 def _again(data: Given, begun: Begun) -> tuple[dict[int, Exterior], np.ndarray, list[str]]:

@@ -67,18 +67,24 @@ class Inner:
 
     def restored(self, network: Network, x: np.ndarray) -> np.ndarray:
         """x moved by the similarity that brings the datum points back to their reference, which changes no residual."""
-        poses, interiors, points = network.split(x)
+        points = network.split(x)[2]
         scale, r, t = similarity(points[self.rows], self.reference)
         if self.scaled:
             t += (scale - 1) * r @ points[self.rows].mean(axis=0)
             scale = 1.0
-        moved = poses.copy()
-        moved[:, :3] = scale * poses[:, :3] @ r.T + t
-        moved[:, 3:] = (poses[:, 3:].reshape(-1, 3, 3) @ r.T).reshape(-1, 9)
-        motion = network.motion_at(x).copy()
-        if network.extras.moving:
-            motion[:, :3] = scale * motion[:, :3] @ r.T
-        return network.pack(moved, interiors, scale * points @ r.T + t, motion=motion)
+        return moved(network, x, scale, r, t)
+
+
+def moved(network: Network, x: np.ndarray, scale: float, r: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """x of the whole world under the similarity scale R P + t; no image sees it."""
+    poses, interiors, points = network.split(x)
+    to = poses.copy()
+    to[:, :3] = scale * poses[:, :3] @ r.T + t
+    to[:, 3:] = (poses[:, 3:].reshape(-1, 3, 3) @ r.T).reshape(-1, 9)
+    motion = network.motion_at(x).copy()
+    if network.extras.moving:
+        motion[:, :3] = scale * motion[:, :3] @ r.T
+    return network.pack(to, interiors, scale * points @ r.T + t, network.shifts_at(x), motion)
 
 
 def pins(network: Network, x: np.ndarray) -> tuple[int, int, int]:

@@ -19,8 +19,9 @@ from .network import Network
 from .parts import parts, told
 
 Datum = Literal["control", "prior", "both", "free"]
-SPEED, SPEED_KNOWN, RATE = 20.0, 2.0, np.radians(15)
-"""Standard errors of a motion: of a velocity that is not known and of one that is [m/s], of a rate of rotation [rad/s]."""
+SPEED, SPEED_KNOWN, RATE, RATE_RECORDED = 20.0, 2.0, np.radians(15), np.radians(2)
+"""Standard errors of a motion: of a velocity that is not known and of one that is [m/s], of a rate of rotation that is not known
+and of what a gyroscope's record of it lacks (its zero, its axes, its clock) [rad/s]."""
 Begin = Literal["auto", "resection", "dlt", "affine", "prior", "relative", "given"]
 
 
@@ -283,9 +284,10 @@ def known_motion(data: Given, images: list[int]) -> tuple[np.ndarray, np.ndarray
                          "[cameras.NAME] of project.toml, or leave out --rolling-shutter")
     motion, sigma = np.zeros((len(images), 6)), np.tile([SPEED] * 3 + [RATE] * 3, (len(images), 1))
     for row, i in enumerate(images):
-        velocity = velocity_of(data, i)
+        velocity, prior = velocity_of(data, i), block.images[i].prior
+        if prior is not None and prior.turning is not None:
+            sigma[row, 3:] = RATE_RECORDED
         if velocity is not None:
-            prior = block.images[i].prior
             stated = prior.sigma_velocity if prior is not None else None
             motion[row, :3], sigma[row, :3] = velocity, SPEED_KNOWN if stated is None else stated
     return motion, sigma, readout

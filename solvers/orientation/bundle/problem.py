@@ -61,21 +61,26 @@ class Bundle:
         return self.network.observed - (6 * m + f + 3 * live) + (self.inner.count if self.inner else 0)
 
     def cost(self, x: np.ndarray) -> float:
-        net = self.network
-        _, interiors, points = net.split(x)
+        net, interiors = self.network, self.network.split(x)[1]
         if (interiors[:, 0] <= 0).any() or not np.isfinite(x).all():
             return float("inf")
-        given = net.weight[:net.live] > 0
-        total = 0.5 * float((net.weight[:net.live][given] * (net.known - points)[:net.live][given] ** 2).sum())
-        if net.extras.count:
-            total += 0.5 * float((net.border_rows(x)[0] ** 2).sum())
-        if len(net.prior_arrays[0]):
-            total += 0.5 * float((self.prior_rows(x)[0] ** 2).sum())
+        total = self.given_cost(x)
         if self.compiled:
             return total + self.compiled.cost(x)
         t = np.linalg.norm(self.residuals(x), axis=1) / net.sigma
         seen = COSTS[net.loss](t) if net.loss else t**2 / 2
         return total + float(seen.sum()) if np.isfinite(t).all() else float("inf")
+
+    def given_cost(self, x: np.ndarray) -> float:
+        """Cost of weighted coordinates, priors and all that touches the border only: all but the images'."""
+        net = self.network
+        given = net.weight[:net.live] > 0
+        total = 0.5 * float((net.weight[:net.live][given] * (net.known - net.split(x)[2])[:net.live][given] ** 2).sum())
+        if net.extras.count:
+            total += 0.5 * float((net.border_rows(x)[0] ** 2).sum())
+        if len(net.prior_arrays[0]):
+            total += 0.5 * float((self.prior_rows(x)[0] ** 2).sum())
+        return total
 
     def constraints(self, x: np.ndarray) -> np.ndarray:
         return np.zeros(0)  # `retract` keeps the inner constraints exactly

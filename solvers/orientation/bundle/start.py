@@ -25,6 +25,8 @@ LIKE = 2.0
 """Cost, over the best one's, up to which another resection of an image is tried as well."""
 TOGETHER, MOST_OPEN = 64, 24
 """Combinations that are tried whole, and images with a choice up to which there is any trying."""
+BETTER = 0.1
+"""Share of the misfit [px^2] of the priors' orientations below which those of the network by itself are begun with."""
 NEAR = 20.0
 """Median residual [px], over the sigma of an observation, beyond which a start from tie points is not believed."""
 
@@ -55,6 +57,7 @@ def start(data: Given) -> tuple[dict[int, Exterior], np.ndarray, list[str]]:
             raise DegenerateGeometry(f"{data.block.name}: {len(images) - len(poses)} image(s) have no complete prior to start "
                                      "from; take another start")
         if at_once and poses and how == "auto":
+            poses = _by_network(data, images, poses)
             _grow(data, poses, images, known)
     if not poses and how in ("auto", "relative"):
         poses = _relative(data, images)
@@ -267,21 +270,45 @@ def _pair(data: Given, a: int, b: int) -> tuple[float, dict[int, Exterior]] | No
     return float(np.median(np.arccos(np.clip(cosine, -1, 1)))), poses
 
 
+def _by_network(data: Given, images: list[int], poses: dict[int, Exterior]) -> dict[int, Exterior]:
+    """Orientations as priors state them or, of few images, those of the network by itself, brought to the priors as a whole,
+    where its rays meet far better: images orient each other to far less than a degree, onboard angles do not."""
+    if not 3 <= len(images) <= TOGETHER:
+        return poses
+    alone = _relative(data, images)
+    _grow(data, alone, images, np.full_like(data.approximate, np.nan))
+    if len(alone) < len(poses) or _placed(data, alone):
+        return poses
+    return alone if _meeting(data, alone) < BETTER * _meeting(data, poses) else poses
+
+
 def _placed(data: Given, poses: dict[int, Exterior]) -> list[str]:
-    """Bring a relative orientation to where known points, or the priors' centres, say it is; gives back what to know."""
+    """Bring a relative orientation to where known points, or the priors, say it is; gives back what to know."""
     xyz = points(data, poses)
     ok = np.isfinite(xyz).all(axis=1) & np.isfinite(data.approximate).all(axis=1)
     source, target = xyz[ok], data.approximate[ok]
     if len(source) < 3:
-        pairs = [(e.centre, data.frame.to_local(c)) for i, e in poses.items()
-                 if (p := data.block.images[i].prior) is not None and (c := p.centre) is not None]
-        source, target = (np.array([p[k] for p in pairs]).reshape(-1, 3) for k in (0, 1))
+        source, target = _centres_and_axes(data, poses)
     if len(source) < 3 or np.linalg.svd(target - target.mean(axis=0), compute_uv=False)[1] < 1e-6:
         return ["place, attitude and scale are arbitrary: fewer than three points or image positions are known"]
     scale, r, t = similarity(source, target)
     for i, e in poses.items():
         poses[i] = Exterior(e.m @ r.T, scale * r @ e.centre + t)
     return []
+
+
+def _centres_and_axes(data: Given, poses: dict[int, Exterior]) -> tuple[np.ndarray, np.ndarray]:
+    """(n, 3) projection centres and those that priors state; behind them, where priors have angles, points a third of their
+    extent along the photos' axes: centres in a row leave the turn about it open."""
+    pairs = [(e, p, data.frame.to_local(p.centre)) for i, e in poses.items()
+             if (p := data.block.images[i].prior) is not None and p.centre is not None]
+    source, target = np.array([e.centre for e, _, _ in pairs]).reshape(-1, 3), np.array([c for *_, c in pairs]).reshape(-1, 3)
+    turned = [(e, Exterior.from_angles(*p.angles, centre=c)) for e, p, c in pairs if p.angles is not None]
+    if len(pairs) < 2 or not turned:
+        return source, target
+    extent = [float(np.linalg.norm(at - at.mean(axis=0), axis=1).max()) / 3 for at in (source, target)]
+    return (np.vstack([source, *(e.centre + extent[0] * e.m for e, _ in turned)]),
+            np.vstack([target, *(e.centre + extent[1] * e.m for _, e in turned)]))
 
 
 def _behind(data: Given, poses: dict[int, Exterior], xyz: np.ndarray) -> None:
