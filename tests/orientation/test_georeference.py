@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from solvers import Block, Exterior, Image, Interior, Observations, Points
+from solvers.block import Prior
 from solvers.cameras import project
 from solvers.errors import BadProject, DegenerateGeometry
 from solvers.geometry import (
@@ -411,6 +412,10 @@ def test_corners_are_control_for_a_bundle() -> None:
     assert 0.2 < np.sqrt((off**2).sum(axis=1).mean()) / predicted < 2.5
     with pytest.raises(BadProject, match="twice"):
         with_corners(block, [corner_control(block, onboard[0], 0.0, 2.0)] * 2)
+    moving = Prior(velocity=np.ones(3), turning=np.zeros((3, 3)))
+    first = replace(block, images=(replace(block.images[0], prior=moving), *block.images[1:]))
+    prior = with_corners(first, [corner_control(first, onboard[0], 0.0, 2.0)]).images[0].prior
+    assert prior and prior.velocity is moving.velocity and prior.turning is moving.turning and prior.covariance is not None
 
 
 def test_comparison_in_a_project() -> None:

@@ -29,7 +29,7 @@ MANY = 20_000
 MATTERS = 0.5
 """Pixels that a camera moves on the ground while it reads a photo from which its rolling shutter is told."""
 CONTRADICTED = 3.0
-"""sigma0 of the motions from which they are not believed."""
+"""sigma0 of motions, and of GPS and IMU, from which they contradict the images."""
 SUSPECT = 4.0
 """Standardized residual from which an observation is listed as suspect (chance of a good one: 6e-5)."""
 
@@ -192,6 +192,10 @@ def described(data: Given, problem: Bundle, trace: Trace, stats: Statistics, sai
     if (off := groups.get("motion", (None, 0.0))[0] or 0.0) > CONTRADICTED:
         warnings.append(f"rolling shutter: the motions differ from what is known of them by {off:.1f} times their standard "
                         "errors: they take up something else, perhaps the lens; calibrate it first")
+    if (off := max((groups[k][0] or 0.0 for k in groups if k[:3] in ("GPS", "IMU")), default=0.0)) > CONTRADICTED:
+        warnings.append(f"GPS or IMU differ from the block by {off:.1f} times their standard errors: do not believe its place, "
+                        "scale and attitude; look for a lens that was never calibrated (--free c,xp,yp,k1,k2,k3), wrong headings "
+                        "(collinea georeference --check-headings) and too small sigmas")
     return Adjusted(
         orientations=_orientations(data, problem, trace, stats, v, sigma0),
         interiors=dict(zip(net.cameras, interiors, strict=True)),
