@@ -35,6 +35,9 @@ ROBUST = replace(BUNDLE, max_iterations=200, step_tolerance=1e-4, cost_tolerance
 
 SHIFT = 1e-3
 """Of its standard error: what the last step of a block placed by priors moves an unknown by, at most."""
+COARSE = 10.0
+"""Standard error of control, over that of an image point on the ground, from which control is coarse."""
+
 
 
 class Watch(Protocol):
@@ -147,7 +150,7 @@ def prepare_bundle(block: Block, request: BundleRequest, begun: Begun | None = N
     net, x0, left = network(data, poses, xyz)
     first, x0 = (x0, x0) if begun is None else _further(data, net, x0, begun)
     inner = _inner(data, net, first) if request.datum == "free" else None
-    kind = Carried if _weakly_placed(net, request) else Bundle
+    kind = Carried if _weakly_placed(net, x0, request) else Bundle
     problem = kind.of(net, inner, None if request.compiled is None else not request.compiled)
     if inner:
         x0 = inner.restored(net, x0)
@@ -170,9 +173,19 @@ def prepare_bundle(block: Block, request: BundleRequest, begun: Begun | None = N
     return BundleStart(problem, x0, options, _manifest(data, net), data, (*left, *said))
 
 
-def _weakly_placed(net: Network, request: BundleRequest) -> bool:
-    """Whether images' priors, and no fixed point, say where a perspective network is."""
-    return request.model == "perspective" and any(net.priors) and net.unknown == len(net.points)
+def _weakly_placed(net: Network, x0: np.ndarray, request: BundleRequest) -> bool:
+    """Whether priors, or control far coarser than what images show, and no fixed point say where a perspective network is."""
+    if request.model != "perspective" or request.datum == "free" or net.unknown < len(net.points):
+        return False
+    if any(net.priors):
+        return True
+    weighted, (poses, _, points) = net.weight > 0, net.split(x0)
+    if not weighted.any():
+        return False
+    ray = float(np.median(np.linalg.norm(poses[net.image, :3] - points[net.point], axis=1)))
+    interior = net.interiors[int(net.camera[0])]
+    seen = float(np.median(net.sigma)) * float(np.max(interior.pitch)) / interior.c * ray  # m on the ground
+    return float(np.median(net.weight[weighted] ** -0.5)) > COARSE * seen
 
 
 def _again(data: Given, begun: Begun) -> tuple[dict[int, Exterior], np.ndarray, list[str]]:

@@ -86,6 +86,6 @@ def softened(problem: Bundle, x0: np.ndarray) -> np.ndarray:
     """Where a loss begins: losses that forget far observations would forget all at a crude start, so Huber's goes first."""
     if problem.network.loss in (None, "huber"):
         return x0
-    gentle = Bundle.of(replace(problem.network, loss="huber"), problem.inner, problem.compiled is None)
+    gentle = type(problem).of(replace(problem.network, loss="huber"), problem.inner, problem.compiled is None)
     last = solve(gentle, x0, replace(BUNDLE, step_tolerance=0.01)).last
     return last.x if np.isfinite(last.cost) else x0
