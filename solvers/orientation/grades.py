@@ -8,11 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..adjustment import Options
 from ..block import Block, Image, Observations, Points
 from ..cameras import Interior, project
 from ..errors import BadProject, DegenerateGeometry
 from ..geometry import Exterior, exp
-from .bundle import adjust
+from .bundle import Adjusted, BundleRequest, adjust
 from .bundle.given import Datum
 from .corners import corner_control, corner_orientation, vertical_corners, with_corners
 from .footprint import corner_pixels
@@ -22,6 +23,9 @@ from .single import Request, orient
 
 COARSE_M = (2.5, 2.5, 5.0)
 """Standard errors of control taken from a map or a satellite image [m]."""
+PATIENT = Options(max_iterations=300, max_trials=20, step_tolerance=1e-6, cost_tolerance=1e-13, shift_tolerance=1e-3)
+DOUBTFUL = 1.3
+"""sigma0 from which an adjustment is begun in another way as well."""
 LEAST_CHECKS = 3
 """Check points below which a project's control is checked by leaving each point out in turn."""
 
@@ -228,7 +232,7 @@ def _adjusted(method: str, block: Block, true: Block, names: Sequence[str], datu
         for name in group:
             known = known.with_role(name, "check")
         try:
-            done = adjust(known, datum=datum)
+            done = _settled(known, datum)
         except (BadProject, DegenerateGeometry) as error:
             why = str(error)
             continue
@@ -246,6 +250,19 @@ def _adjusted(method: str, block: Block, true: Block, names: Sequence[str], datu
         said.append(f"{method}: {len(points) - len(sure)} point(s) left out that are not determined (predicted error beyond "
                     f"{undetermined:.0f} m)")
     return _grade(method, sure, True, len(block.images))
+
+
+def _settled(block: Block, datum: Datum) -> Adjusted:
+    """The adjusted block; where it does not fit, the better one of two starts: control to metres and few common points leave
+    false minima. Raises what `adjust` raises."""
+    done = adjust(block, BundleRequest(datum=datum), PATIENT)
+    if (done.trace.converged and (done.sigma0 or 0.0) < DOUBTFUL) or datum != "control":
+        return done
+    try:
+        other = adjust(block, BundleRequest(datum=datum, start="affine"), PATIENT)
+    except DegenerateGeometry:
+        return done
+    return other if other.trace.converged and (not done.trace.converged or other.cost < done.cost) else done
 
 
 class _Checked(NamedTuple):

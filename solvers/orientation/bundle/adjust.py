@@ -39,7 +39,6 @@ COARSE = 10.0
 """Standard error of control, over that of an image point on the ground, from which control is coarse."""
 
 
-
 class Watch(Protocol):
     """Who wants to see the rows while they are made."""
 
