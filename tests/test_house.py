@@ -146,3 +146,9 @@ def test_no_word_of_one_machine():
         if path.suffix in suffixes and path.is_file() and path != Path(__file__):
             for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1):
                 assert not FOREIGN.search(line), f"{name}:{number}: {line.strip()[:100]}"
+
+
+def test_every_formula_that_is_cited_is_on_the_page() -> None:
+    headings = re.findall(r"^#+ (\d(?:\.\d)?)\.? ", (ROOT / "docs" / "formulas.md").read_text("utf-8"), re.MULTILINE)
+    cited = {n for path in FILES for n in re.findall(r"docs/formulas\.md (\d(?:\.\d)?)", path.read_text("utf-8"))}
+    assert cited and cited <= set(headings)

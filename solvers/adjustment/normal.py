@@ -34,7 +34,7 @@ class Dense:
         | N  H^T | | dx |   | g |
         | H   0  | |  k | = | w |
 
-    Reference: Mikhail 1970, "Parameters constraints in least squares"; FORMULAS section 3.3.
+    Reference: Mikhail 1970, "Parameters constraints in least squares"; docs/formulas.md 3.3.
     """
 
     n: np.ndarray

@@ -1,6 +1,6 @@
 """What calibrated parameters do together: distortion curves with their standard errors, and two calibrations compared.
 
-K1, K2, K3 are correlated by -0.9 and more, so single coefficients say little; their curve says all (FORMULAS section 9).
+K1, K2, K3 are correlated by -0.9 and more, so single coefficients say little; their curve says all (docs/formulas.md 9).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The ten-parameter correction of image coordinates (Australis model), its inverse and derivatives.
 
 Everything here works on coordinates reduced to the principal point, in millimetres, and is a *correction*:
-ideal = measured + delta(measured). Reference: FORMULAS section 9; Fraser 1997, "Digital camera self-calibration".
+ideal = measured + delta(measured). Reference: docs/formulas.md 9; Fraser 1997, "Digital camera self-calibration".
 """
 
 from __future__ import annotations

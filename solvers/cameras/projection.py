@@ -1,6 +1,6 @@
 """Collinearity: object points to pixels through an exterior and a ten-parameter interior orientation, with derivatives.
 
-Reference: FORMULAS sections 2 and 9. With (U, V, W) = M (X - X_C), W < 0 in front:
+Reference: docs/formulas.md 2 and 9. With (U, V, W) = M (X - X_C), W < 0 in front:
 ideal x = -c U / W, ideal y = -c V / W; the measured point is where the correction gives the ideal one.
 """
 

@@ -1,7 +1,7 @@
 """Rotations of the field: M = M_kappa M_phi M_omega turns object axes into photo axes.
 
 Inside, a rotation is the 3x3 matrix M and its tangent is the left rotation vector d: M <- exp([d]x) M, which has no
-singular attitude; omega, phi, kappa are only for people. Reference: FORMULAS section 2.
+singular attitude; omega, phi, kappa are only for people. Reference: docs/formulas.md 2.
 """
 
 from __future__ import annotations

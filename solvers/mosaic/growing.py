@@ -2,7 +2,7 @@
 
 The reference photo lies on the mosaic plane; the photo that shares most points with what is already there comes next, is fitted
 to the points' places; a point lies at the mean of the photos that show it so far. What is placed stays: errors add up
-(FORMULAS section 6.4).
+(docs/formulas.md 6.4).
 """
 
 from __future__ import annotations
@@ -176,7 +176,7 @@ def consensus(xy: np.ndarray, q: np.ndarray, tolerance: float, trials: int = 300
 
 def bounding_box(steps: Sequence[np.ndarray], q: Sequence[np.ndarray]) -> np.ndarray:
     """(4,) xmin, ymin, xmax, ymax on the mosaic of photos at H (3, 3) with corners q (4, 2); corners beyond the horizon are left
-    out (FORMULAS section 6.5)."""
+    out (docs/formulas.md 6.5)."""
     at = np.concatenate([through(np.broadcast_to(np.linalg.inv(h), (len(c), 3, 3)), c)[0] for h, c in zip(steps, q, strict=True)])
     return np.concatenate([np.nanmin(at, axis=0), np.nanmax(at, axis=0)])
 

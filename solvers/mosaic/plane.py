@@ -3,7 +3,7 @@
     x = (a1 X + b1 Y + c1) / (a3 X + b3 Y + 1),  y = (a2 X + b2 Y + c2) / (a3 X + b3 Y + 1)
 
 from conjugate points, from a known orientation, and back to the orientation where the principal distance is known.
-Reference: Tjahjadi, Handoko & Sai 2017, eq. (11) to (16); FORMULAS sections 6.1 and 6.2; Hartley 1997 (normalisation).
+Reference: Tjahjadi, Handoko & Sai 2017, eq. (11) to (16); docs/formulas.md 6.1 and 6.2; Hartley 1997 (normalisation).
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ class FromPlane:
 def orientation_of(h: np.ndarray, interior: Interior, plane: np.ndarray | None = None) -> FromPlane:
     """Exterior orientation of a photo from its homography h (3, 3), plane -> undistorted pixels, with c known.
 
-    plane (3,): z0, zx, zy. Raises DegenerateGeometry where h is singular. Reference: FORMULAS section 6.1.
+    plane (3,): z0, zx, zy. Raises DegenerateGeometry where h is singular. Reference: docs/formulas.md 6.1.
     """
     z0, zx, zy = np.zeros(3) if plane is None else np.asarray(plane, float)
     camera = plane_warp(interior, Exterior(np.eye(3), np.zeros(3)), np.array([1.0, 0, 0]))

@@ -1,7 +1,7 @@
 """How far a registration can be trusted: covariances of photos, the drift they predict, and what systematic errors add.
 
 Covariance is only the lower bound of drift: it knows the noise of the tie points and nothing of relief or of distortion that was
-left in. Their share is the adjustment's own response to them. Reference: FORMULAS section 6.4.
+left in. Their share is the adjustment's own response to them. Reference: docs/formulas.md 6.4.
 """
 
 from __future__ import annotations

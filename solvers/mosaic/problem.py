@@ -3,7 +3,7 @@
 x holds `model.width` numbers of every photo and X, Y of every point; the tangent is that of the moving photos and of all points,
 which are eliminated in 2 by 2 blocks. One photo onto known points is the same problem with everything else held.
 
-Reference: FORMULAS section 6.3; Brown 1958 (elimination).
+Reference: docs/formulas.md 6.3; Brown 1958 (elimination).
 """
 
 from __future__ import annotations

@@ -80,7 +80,7 @@ class Registration:
     @cached_property
     def warps(self) -> np.ndarray:
         """(n, 3, 3) mosaic plane X, Y, 1 -> undistorted pixel col, row, 1 up to scale, whatever the kind; the third component
-        is positive where the photo sees the plane (FORMULAS section 6.1)."""
+        is positive where the photo sees the plane (docs/formulas.md 6.1)."""
         if self.homographies is not None:
             return self.homographies
         return np.array([plane_warp(i, e, self.plane) for i, e in zip(self.interiors, self.exteriors, strict=True)])
@@ -123,7 +123,7 @@ class Registration:
 def plane_warp(interior: Interior, exterior: Exterior, plane: np.ndarray) -> np.ndarray:
     """(3, 3) plane X, Y, 1 -> undistorted pixel col, row, 1 up to scale, its third component positive in front of the camera.
 
-    plane (3,): z0, zx, zy. Reference: FORMULAS section 6.1, eq. (13) of the planar collinearity equations.
+    plane (3,): z0, zx, zy. Reference: docs/formulas.md 6.1, eq. (13) of the planar collinearity equations.
     """
     onto = np.array([[1.0, 0, -exterior.centre[0]], [0, 1.0, -exterior.centre[1]],
                      [plane[1], plane[2], plane[0] - exterior.centre[2]]])

@@ -1,6 +1,6 @@
 """All photos at once: staged from similarities over affinities to plane coefficients or exterior orientations, damped, robust.
 
-Every stage is one run of the engine; its rows, as homographies, join one trace. Reference: FORMULAS section 6.3.
+Every stage is one run of the engine; its rows, as homographies, join one trace. Reference: docs/formulas.md 6.3.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ inlined = njit(no_cpython_wrapper=True, _nrt=False, inline="always", **_SMALL)
 OK, AMBIGUOUS, TOO_FEW, COLLINEAR, DIVERGED, NOT_FINITE, BEHIND_CAMERA, OUTLIER, WEAK, SINGULAR = range(10)
 MAX_MINIMA = 12
 MAX_STARTS = 40
-AMBIGUOUS_CHI2 = 36.0  # D = 6: FORMULAS of the two reversal solutions
+AMBIGUOUS_CHI2 = 36.0  # D = 6: docs/formulas.md, section 3.4
 WEAK_ROTATION = 0.0873  # rad (5 degrees): beyond it the linear covariance says nothing
 CURVED_ROTATION = 0.0035  # rad (0.2 degrees): beyond it the linear covariance is looked at before it is believed
 

@@ -1,6 +1,6 @@
 """Which model? The error of every candidate, predicted for the given control before any solution is believed.
 
-Reference: FORMULAS sections 3.6 and 5; Gauss-Markov: with the same information the perspective adjustment is never worse.
+Reference: docs/formulas.md 3.6 and 5; Gauss-Markov: with the same information the perspective adjustment is never worse.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Initial values without any approximate value: every candidate attitude the control allows, refined and ranked.
 
-Reference: FORMULAS section 4; Grunert 1841 and Haralick et al. 1994 (three points); DeMenthon & Davis 1995 (POSIT).
+Reference: docs/formulas.md 4; Grunert 1841 and Haralick et al. 1994 (three points); DeMenthon & Davis 1995 (POSIT).
 All functions take points (n, 3) m reduced to their centroid and ideal photo coordinates xy (n, 2) in the unit of c.
 """
 
@@ -22,7 +22,7 @@ _PATIENCE = 8
 
 
 def recentring(xy: np.ndarray, c: float) -> np.ndarray:
-    """R_v (3, 3): turns the photo so that the mean ray becomes the optical axis of a virtual camera (FORMULAS 3.2)."""
+    """R_v (3, 3): turns the photo so that the mean ray becomes the optical axis of a virtual camera (docs/formulas.md 3.2)."""
     rays = _rays(xy, c)
     mean = rays.mean(axis=0)
     z = -mean / np.linalg.norm(mean)
@@ -56,7 +56,7 @@ class Noise:
 
 
 def candidates(points: np.ndarray, xy: np.ndarray, c: float, noise: Noise | None = None) -> list[Candidate]:
-    """All distinct local minima found from every start of FORMULAS section 4, best first; empty when none is in front.
+    """All distinct local minima found from every start of docs/formulas.md 4, best first; empty when none is in front.
 
     noise: where one of the parallel projections (both reversal solutions among them) of six points or more leads to residuals
     at noise level, the other kinds of starts are not tried; nothing fits much better. Attitudes closer than a hundredth of a
@@ -138,7 +138,7 @@ def scaled_orthography(points: np.ndarray, xy: np.ndarray, c: float, updates: in
 
 
 def planar_block(centred: np.ndarray, u: np.ndarray, s: np.ndarray, vt: np.ndarray, sign: float) -> np.ndarray:
-    """The 2x3 block s M_12 of points in their plane, one of the two reversal solutions (FORMULAS section 3.4)."""
+    """The 2x3 block s M_12 of points in their plane, one of the two reversal solutions (docs/formulas.md 3.4)."""
     g = ((u[:, :2].T @ centred) / s[:2, None]).T  # rows g1, g2 in the plane's axes
     ab = np.sqrt(complex(g[1] @ g[1] - g[0] @ g[0], -2 * (g[0] @ g[1])))
     third = sign * np.array([ab.real, ab.imag])

@@ -1,6 +1,6 @@
 """The orthogonal projection model: rays made parallel, an affine adjustment under two constraints, and the way back.
 
-Reference: Ono & Hattori 2002; Ono, Akamatsu & Hattori 2004; with the errata of FORMULAS sections 1 and 3.
+Reference: Ono & Hattori 2002; Ono, Akamatsu & Hattori 2004; with the errata of docs/formulas.md 1 and 3.
 A = (A1 .. A8): x_a = A1 X + A2 Y + A3 Z + A4, y_a = A5 X + A6 Y + A7 Z + A8, X reduced to the centroid of the control.
 """
 
@@ -96,7 +96,7 @@ class Orthogonal:
 
     def transform(self, exterior: Exterior | None) -> tuple[np.ndarray, np.ndarray]:
         """Orthogonal image coordinates (n, 2) mm and their derivatives by the pixels (n, 2, 2) mm/px, with the depths of
-        an orientation; of parallel rays (x_a = x) without one. FORMULAS section 3.1, (D) and (E)."""
+        an orientation; of parallel rays (x_a = x) without one. docs/formulas.md 3.1, (D) and (E)."""
         if exterior is None:
             return self.virtual, self.by_pixel
         m, x = self.r_v @ exterior.m, self.virtual
@@ -210,7 +210,7 @@ class Orthogonal:
         """(n, 2, 2) px^-2: equal weights of the orthogonal coordinates, seen through the transformation."""
         return np.swapaxes(transform, 1, 2) @ transform * self._precision[:, None, None]
 
-    # -- statistics of the model (FORMULAS section 3.6) ---------------------------------------------------------------
+    # -- statistics of the model (docs/formulas.md 3.6) ---------------------------------------------------------------
 
     def statistics(self, exterior: Exterior) -> Leak:
         """Noise, prior leak and fixed-point covariance of the model at an orientation, all in (centre, rotation)."""

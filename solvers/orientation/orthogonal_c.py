@@ -1,7 +1,7 @@
 """The orthogonal model with unknown principal distance: equations (15) and (16) of Ono & Hattori 2002, corrected.
 
 The printed column is the partial derivative with the camera's height held; the iteration needs the total one, through
-Z_C = Zmean + m33 c / s (FORMULAS section 3.8): with the partial alone it takes tens of iterations or runs away.
+Z_C = Zmean + m33 c / s (docs/formulas.md 3.8): with the partial alone it takes tens of iterations or runs away.
 """
 
 from __future__ import annotations

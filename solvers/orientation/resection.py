@@ -55,7 +55,7 @@ class Resection:
     """Perspective resection: x = X, Y, Z, m11 .. m33 and the freed interior parameters; the tangent is the change of the
     centre [m], the left rotation vector [rad] and the changes of the freed parameters.
 
-    points (n, 3) m, pixels (n, 2), weights (n, 2, 2) px^-2. Reference: FORMULAS section 2.
+    points (n, 3) m, pixels (n, 2), weights (n, 2, 2) px^-2. Reference: docs/formulas.md 2.
     """
 
     interior: Interior

@@ -27,7 +27,7 @@ from .steps import run
 from .words import bad_fit, correlations, curved, snooping, undetermined
 
 AMBIGUOUS = 6.0
-"""Discrimination D below which two solutions cannot be told apart (FORMULAS section 3.4)."""
+"""Discrimination D below which two solutions cannot be told apart (docs/formulas.md 3.4)."""
 PERSPECTIVE = Options(damping=1e-6)  # the starts are near: nearly Gauss-Newton from the beginning
 ORTHOGONAL = Options.gauss_newton(max_iterations=100)
 AIMED = Options.gauss_newton(max_iterations=20)

@@ -73,7 +73,7 @@ def snooping(w: np.ndarray, names: tuple[str, ...]) -> list[str]:
 
 
 def undetermined(covariance: np.ndarray) -> list[str]:
-    """Whether this image determines its tilt at all (FORMULAS section 5: 2 degrees)."""
+    """Whether this image determines its tilt at all (docs/formulas.md 5: 2 degrees)."""
     tilt = float(np.degrees(np.sqrt(covariance[3, 3] + covariance[4, 4])))
     if not np.isfinite(tilt) or tilt > 2:
         return [f"the tilt is not determined by this control (standard error {tilt:.1f} degrees): "

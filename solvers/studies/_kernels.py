@@ -172,7 +172,7 @@ def perspective(points, xy, c, sigma, m, x, prior_m, prior_x, weight, steps, cos
 
 @compiled
 def scaled_rotation(reduced, xa, m, steps):
-    """min |xa - s M12 X| over rotations and scales, damped, from m, in place; returns the scale (FORMULAS 3.3)."""
+    """min |xa - s M12 X| over rotations and scales, damped, from m, in place; returns the scale (docs/formulas.md 3.3)."""
     n, g, dx, j = np.zeros((4, 4)), np.zeros(4), np.zeros(4), np.empty((2, 4))
     tm, tn, tg = np.zeros((3, 3)), np.zeros((4, 4)), np.zeros(4)
     top = bottom = 0.0
@@ -219,7 +219,7 @@ def scaled_rotation(reduced, xa, m, steps):
 
 @compiled
 def stretch(points, x, c, m, centre, mean, printed, xa):
-    """Orthogonal coordinates xa (n, 2) by form (E), printed, or (D) of the transformation (FORMULAS 3.1)."""
+    """Orthogonal coordinates xa (n, 2) by form (E), printed, or (D) of the transformation (docs/formulas.md 3.1)."""
     for i in range(len(points)):
         if printed:
             level = m[2, 2] * c
@@ -231,7 +231,7 @@ def stretch(points, x, c, m, centre, mean, printed, xa):
 
 @compiled
 def back(m, s, t, c, mean, printed, centre):
-    """Perspective centre of rotation, scale and the orthogonal image t of the centroid (FORMULAS 3.5)."""
+    """Perspective centre of rotation, scale and the orthogonal image t of the centroid (docs/formulas.md 3.5)."""
     if not printed:
         for k in range(3):
             centre[k] = mean[k] - (m[0, k] * t[0] + m[1, k] * t[1] - m[2, k] * c) / s

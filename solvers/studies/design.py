@@ -129,7 +129,7 @@ def mirrored(truth: Poses, points: np.ndarray) -> Poses:
 
 def predict(points: np.ndarray, sigma_px: float, priors: tuple[tuple[float, float], ...]) -> dict[str, np.ndarray]:
     """Covariance (6, 6) of (X, Y, Z [m], omega, phi, kappa [rad]) by linear theory for the names of `estimate`, and
-    "rho", "rho_rc": the spectral radius of the prior leak as printed and re-centred (FORMULAS section 3.6)."""
+    "rho", "rho_rc": the spectral radius of the prior leak as printed and re-centred (docs/formulas.md 3.6)."""
     sd_px = sigma_mm(points, sigma_px) / PITCH
     at = project_derivatives(CAMERA, TABLE_I, points)
     j = np.concatenate([at.centre, at.rotation], axis=2) / sd_px[:, None, None]

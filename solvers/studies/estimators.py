@@ -76,7 +76,7 @@ def best_of(*found: tuple[Poses, np.ndarray]) -> Poses:
 
 def orthogonal_pass(points: np.ndarray, xy: np.ndarray, c: float, approximate: Poses, form: Form = "depth",
                     recentre: bool = True) -> Poses:
-    """One pass of the orthogonal model through approximate orientations (FORMULAS sections 3.1 to 3.5)."""
+    """One pass of the orthogonal model through approximate orientations (docs/formulas.md 3.1 to 3.5)."""
     return _orthogonal(points, xy, c, approximate, form, recentre, 1)
 
 

@@ -104,7 +104,7 @@ def apart() -> Block:
 
 def test_parts_that_share_no_point_are_named() -> None:
     got = adjust(apart(), datum="both")
-    assert any(w.startswith("the block falls into 2 parts that share no point") and "'S1_01'" in w for w in got.warnings)
+    assert any(w.startswith("the block falls into 2 parts that share no point") and "'S2_01'" in w for w in got.warnings)
     got = adjust(apart(), datum="free")
     assert len(got.orientations) == 3 and any("share no point; not adjusted is that of image(s) 'S" in w for w in got.warnings)
 

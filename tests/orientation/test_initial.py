@@ -64,7 +64,7 @@ def test_recentring_turns_the_mean_ray_to_the_axis():
 
 @pytest.mark.parametrize("fov", [2, 6, 20, 50])
 def test_random_attitudes_are_found_without_approximate_values(fov):
-    """FORMULAS' promise: fields of 2 to 50 degrees, 4 to 11 points, any attitude; the best candidate is the truth."""
+    """docs/formulas.md, section 4: fields of 2 to 50 degrees, 4 to 11 points, any attitude; the best candidate is the truth."""
     rng = np.random.default_rng(fov)
     for _ in range(15):
         n = int(rng.integers(4, 12))

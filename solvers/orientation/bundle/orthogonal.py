@@ -1,11 +1,11 @@
 """The bundle by the orthogonal projection model: Ono & Hattori's adjustment of free and controlled networks.
 
-The rays of every image are made parallel with depths from the orientation and points at hand (FORMULAS 3.1, depth form),
+The rays of every image are made parallel with depths from the orientation and points at hand (docs/formulas.md 3.1, depth form),
 x_a = (d / d_ref) x, and g = s M12 (X - C) is adjusted to them, s = c / d_ref, d_ref the depth of the middle of its points.
 Made parallel anew in every iteration, x_a - g is the perspective residual times d / d_ref: the fixed point makes G^T P v = 0 with
 the derivatives G of g, which see no change of depth. Kept as they are (frozen), the x_a are plain observations of g.
 
-Reference: Ono & Hattori 2002; FORMULAS sections 3.1, 3.6, 3.7 and 3.8.
+Reference: Ono & Hattori 2002; docs/formulas.md 3.1, 3.6, 3.7 and 3.8.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Parallel:
 
     @property
     def by_c(self) -> np.ndarray:
-        """(r, 2) d x_a / d c, the total derivative: with M, s and t held, the camera's distance follows c (FORMULAS 3.8)."""
+        """(r, 2) d x_a / d c, total: with M, s and t held, the camera's distance follows c (docs/formulas.md 3.8)."""
         return self.photo * (self.scale * self.ahead / self.interior.c**2)[:, None]
 
 

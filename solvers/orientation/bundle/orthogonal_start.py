@@ -83,9 +83,10 @@ def false_fixed_point(problem: OrthogonalBundle, x: np.ndarray) -> list[str]:
 
 
 def softened(problem: Bundle, x0: np.ndarray) -> np.ndarray:
-    """Where a loss begins: losses that forget far observations would forget all at a crude start, so Huber's goes first."""
+    """Where a loss begins: losses that forget far observations would forget all at a crude start, so Huber's goes first, unless
+    one mark far off drags it to where the loss itself is worse than at the start."""
     if problem.network.loss in (None, "huber"):
         return x0
     gentle = type(problem).of(replace(problem.network, loss="huber"), problem.inner, problem.compiled is None)
     last = solve(gentle, x0, replace(BUNDLE, step_tolerance=0.01)).last
-    return last.x if np.isfinite(last.cost) else x0
+    return last.x if np.isfinite(last.cost) and problem.cost(last.x) < problem.cost(x0) else x0

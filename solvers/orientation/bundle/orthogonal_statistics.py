@@ -3,7 +3,7 @@
 With J the derivatives of the residuals' own (perspective) model, A = G^T P J bordered by the datum, an error e of the
 observations moves the solution by A^-1 G^T P e. Frozen, J = G: errors of the kept transformation are not in the covariance.
 
-Reference: FORMULAS section 3.6; Baarda 1968.
+Reference: docs/formulas.md 3.6; Baarda 1968.
 """
 
 from __future__ import annotations

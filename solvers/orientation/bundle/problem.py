@@ -2,7 +2,7 @@
 
 x holds 12 numbers of every image, the ten parameters of every camera and three of every point; the tangent is (centre, left
 rotation vector) of every image, the freed interior parameters and the changes of the points that are not fixed.
-Reference: Brown 1958; FORMULAS sections 2, 3.7 and 9.
+Reference: Brown 1958; docs/formulas.md 2, 3.7 and 9.
 """
 
 from __future__ import annotations

@@ -69,7 +69,7 @@ def remedied(block: Block, request: BundleRequest, attempt: Attempt, watched: At
         said = [s + unit_of(block, n, at[n]) if n in at else s for n, s in zip(wrong.names, wrong.said, strict=False)]
         left = [f"left out of the control: {', '.join(wrong.names)}; correct points.csv"] if wrong.names else []
         return replace(again, warnings=(*said, *left, *again.warnings))
-    if not wrong.names and request.loss is None:
+    if request.loss is None:  # control that looked wrong, but whose absence mends nothing, may be accused by a wrong mark
         clean, said = _marks(block, request, attempt, result)
         if clean is not None:
             return replace(clean, warnings=(said, *clean.warnings))

@@ -1,7 +1,7 @@
 """Start values of a bundle without approximations: resection where control is, then from image to image over tie points;
 priors, or a relative orientation of the best pair, where there is no control to begin with.
 
-Reference: FORMULAS section 4; Nistér 2004 (five points, by OpenCV).
+Reference: docs/formulas.md 4; Nistér 2004 (five points, by OpenCV).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from ...cameras import project
 from ...errors import DegenerateGeometry
 from ...geometry import Exterior, from_opencv
-from ..initial import candidates
+from ..initial import Candidate, candidates, three_points
 from ..linear_models import affine, direct_linear_transformation
 from ..rays import Intersection
 from .datum import similarity
@@ -27,6 +27,12 @@ TOGETHER, MOST_OPEN = 64, 24
 """Combinations that are tried whole, and images with a choice up to which there is any trying."""
 BETTER = 0.1
 """Share of the misfit [px^2] of the priors' orientations below which those of the network by itself are begun with."""
+MISFIT, TRIPLES = 8.0, 60
+"""Median residual, over the sigma of an observation, from which three points at a time are asked, and how often."""
+MUCH, FAR = 0.4, 5.0
+"""Share of the median residual that is much better; times the new median beyond which a point does not agree."""
+MANY_RAYS = 20
+"""Rays of a point up to which a wrong one is looked for; among more it hardly moves the point."""
 NEAR = 20.0
 """Median residual [px], over the sigma of an observation, beyond which a start from tie points is not believed."""
 
@@ -67,6 +73,8 @@ def start(data: Given) -> tuple[dict[int, Exterior], np.ndarray, list[str]]:
         raise DegenerateGeometry(f"{data.block.name}: no image has enough control to begin (four points that are not on a line), "
                                  "there is no prior, and no pair of images shares enough tie points")
     xyz = known.copy() if how == "given" else points(data, poses)
+    if how != "given":
+        _without_wrong_rays(data, poses, xyz)
     missing = ~np.isfinite(xyz).all(axis=1)
     xyz[missing] = points(data, poses)[missing] if how == "given" else known[missing]
     _behind(data, poses, xyz)
@@ -102,6 +110,37 @@ def points(data: Given, poses: dict[int, Exterior], wanted: np.ndarray | None = 
     return out
 
 
+def _without_wrong_rays(data: Given, poses: dict[int, Exterior], xyz: np.ndarray) -> None:
+    """Points (n, 3) that one ray keeps from where all their others meet go there; the ray stays an observation."""
+    off = np.zeros(len(data.image))
+    for i, e in poses.items():
+        rows = data.seen_in(i)
+        ideal = data.camera(i).ideal(data.pixels[rows])
+        off[rows] = _off(e, xyz[data.point[rows]], ideal, data.camera(i).c) / data.camera(i).pitch[0] / data.sigma[rows]
+    seen = np.isin(data.image, list(poses)) & np.isfinite(xyz[data.point]).all(axis=1)
+    typical = max(1.0, float(np.median(off[seen]))) if seen.any() else 1.0
+    for j in np.unique(data.point[seen & (off > 2 * FAR * typical)]):
+        rows = np.flatnonzero(seen & (data.point == j))
+        if not 3 <= len(rows) <= MANY_RAYS:
+            continue
+        trials = [_met(data, poses, np.delete(rows, k)) for k in range(len(rows))]
+        best = min(trials, key=lambda met: met[1])
+        if best[1] < FAR * typical:
+            xyz[j] = best[0]
+
+
+def _met(data: Given, poses: dict[int, Exterior], rows: np.ndarray) -> tuple[np.ndarray, float]:
+    """Where the rays of some observations meet (3,), and the largest residual there, in standard errors."""
+    cameras, of = [data.camera(i) for i in data.image[rows]], [poses[int(i)] for i in data.image[rows]]
+    ideal = [camera.ideal(data.pixels[r][None])[0] for camera, r in zip(cameras, rows, strict=True)]
+    ray = np.stack([e.m.T @ [*xy, -camera.c] for e, xy, camera in zip(of, ideal, cameras, strict=True)])
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    across = np.eye(3) - ray[:, :, None] * ray[:, None]
+    at = np.linalg.lstsq(across.sum(0), np.einsum("kij,kj->i", across, np.stack([e.centre for e in of])), rcond=None)[0]
+    off = [_off(e, at[None], xy[None], camera.c)[0] / camera.pitch[0] for e, xy, camera in zip(of, ideal, cameras, strict=True)]
+    return at, float(np.max(np.array(off) / data.sigma[rows]))
+
+
 def _resected(data: Given, image: int, xyz: np.ndarray, least: int) -> Exterior | None:
     """Exterior orientation of an image from points xyz (n, 3) that are known, None where there are too few or it cannot be."""
     found = _resections(data, image, xyz, least)
@@ -121,8 +160,36 @@ def _resections(data: Given, image: int, xyz: np.ndarray, least: int) -> list[Ex
     s = np.linalg.svd(at - mean, compute_uv=False)
     if s[1] <= 1e-4 * s[0]:
         return []
-    found = candidates(at - mean, interior.ideal(data.pixels[rows]), interior.c)
+    ideal, sigma = interior.ideal(data.pixels[rows]), data.sigma[rows] * interior.pitch[0]
+    found = candidates(at - mean, ideal, interior.c)
+    agree = _agreeing(found, at - mean, ideal, interior.c, sigma)
+    if not agree.all():
+        found = candidates((at - mean)[agree], ideal[agree], interior.c)
     return [f.exterior.shifted(-mean) for f in found[:3] if f.cost <= LIKE * found[0].cost]
+
+
+def _agreeing(found: list[Candidate], points: np.ndarray, xy: np.ndarray, c: float, sigma: np.ndarray) -> np.ndarray:
+    """(r,) which points to begin an image with: all, unless the orientation of three leaves half of them far closer than the best
+    of all does, for a single point under a wrong name turns the image. sigma (r,), as xy. Reference: Rousseeuw 1984 (least
+    median)."""
+    n = len(points)
+    best = np.median(_off(found[0].exterior, points, xy, c)) if found else np.inf
+    if n < 7 or best < MISFIT * np.median(sigma):
+        return np.ones(n, bool)
+    rng, agree, least = np.random.default_rng(0), np.ones(n, bool), MUCH * best
+    for _ in range(TRIPLES):
+        rows = rng.choice(n, 3, replace=False)
+        for exterior in three_points(points[rows], xy[rows], c):
+            off = _off(exterior, points, xy, c)
+            if np.median(off) < least:
+                least, agree = float(np.median(off)), off <= FAR * max(np.median(off), np.median(sigma))
+    return agree if agree.sum() >= 5 else np.ones(n, bool)
+
+
+def _off(exterior: Exterior, points: np.ndarray, xy: np.ndarray, c: float) -> np.ndarray:
+    """(r,) lengths of the residuals of points (r, 3), infinite behind the photo."""
+    uvw = exterior.camera(points)
+    return np.where(uvw[:, 2] < 0, np.hypot(*(xy + c * uvw[:, :2] / uvw[:, 2:]).T), np.inf)
 
 
 def _agreed(data: Given, found: dict[int, list[Exterior]]) -> dict[int, Exterior]:
@@ -167,7 +234,7 @@ def _by_dlt(data: Given, image: int, xyz: np.ndarray, least: int) -> Exterior | 
 
 
 def _by_affine(data: Given, image: int, xyz: np.ndarray, least: int) -> Exterior | None:
-    """The orientation behind an affine model: parallel rays, at the distance its scale says (FORMULAS section 3.5)."""
+    """The orientation behind an affine model: parallel rays, at the distance its scale says (docs/formulas.md 3.5)."""
     rows, at, mean = _chosen(data, image, xyz)
     if len(rows) < max(4, least):
         return None
