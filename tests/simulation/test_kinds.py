@@ -11,10 +11,11 @@ from solvers.simulation.scene import look_at
 def test_every_kind_observes_its_truth(kind: str):
     exact, noisy = simulate(kind, 3, noise=0.0), simulate(kind, 3)
     of, block = exact.block.observations, exact.block
+    rows = np.unique(np.linspace(0, len(of) - 1, 4000).astype(int))
     pixels = np.stack([project(exact.cameras[block.images[i].camera], exact.exteriors[block.images[i].name], exact.xyz[p])
-                       for i, p in zip(of.image, of.point, strict=True)])
-    assert np.abs(pixels - of.pixel).max() < 1e-6
-    off = (noisy.block.observations.pixel - pixels) / noisy.block.observations.sigma[:, None]
+                       for i, p in zip(of.image[rows], of.point[rows], strict=True)])
+    assert np.abs(pixels - of.pixel[rows]).max() < 1e-6
+    off = (noisy.block.observations.pixel[rows] - pixels) / noisy.block.observations.sigma[rows, None]
     assert 0.65 < off.std() < 1.35 and np.abs(off).max() < 5.5
     assert len(set(block.points.names)) == len(block.points) == len(exact.xyz)
     assert set(np.unique(of.point)) <= set(range(len(exact.xyz))) and len(np.unique(of.image)) == len(block.images)

@@ -30,6 +30,8 @@ CLEAR = 20.0
 """Fall of the cost that chance does not make."""
 WITHIN = 6.0
 """Standard errors of its pixels within which a mark that took no part fits (points of few rays are known no better)."""
+RELIEF = 5.0
+"""Standard errors of their heights that control points must differ by before feet are told from metres."""
 BAD = 5.0
 """sigma0 from which the control is screened for points that contradict the network."""
 
@@ -193,6 +195,9 @@ def heights_in_feet(block: Block, request: BundleRequest, attempt: Attempt, resu
     if request.datum not in ("control", "both") or request.model != "perspective" or not control.any():
         return ""
     xyz = block.points.xyz.copy()
+    least = np.where(np.isfinite(block.points.sigma[control, 2]), block.points.sigma[control, 2], block.control_m[2])
+    if (1 - FEET) * np.ptp(xyz[control, 2]) < RELIEF * np.median(least):
+        return ""  # whatever the heights are, they hardly differ
     xyz[control, 2] *= FEET
     try:
         tried = attempt(replace(block, points=replace(block.points, xyz=xyz)), request)
