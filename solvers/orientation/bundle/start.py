@@ -119,8 +119,11 @@ def _without_wrong_rays(data: Given, poses: dict[int, Exterior], xyz: np.ndarray
         off[rows] = _off(e, xyz[data.point[rows]], ideal, data.camera(i).c) / data.camera(i).pitch[0] / data.sigma[rows]
     seen = np.isin(data.image, list(poses)) & np.isfinite(xyz[data.point]).all(axis=1)
     typical = max(1.0, float(np.median(off[seen]))) if seen.any() else 1.0
+    order = np.argsort(data.point, kind="stable")
+    ends = np.searchsorted(data.point[order], np.arange(len(xyz) + 1))
     for j in np.unique(data.point[seen & (off > 2 * FAR * typical)]):
-        rows = np.flatnonzero(seen & (data.point == j))
+        rows = order[ends[j]:ends[j + 1]]
+        rows = rows[seen[rows]]
         if not 3 <= len(rows) <= MANY_RAYS:
             continue
         trials = [_met(data, poses, np.delete(rows, k)) for k in range(len(rows))]
