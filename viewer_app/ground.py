@@ -12,7 +12,7 @@ from . import theme
 from .bundle_state import Bundle, inner_extent, inner_places
 from .kept import by_identity
 from .matching_state import Matching
-from .mosaic_state import Mosaic
+from .mosaic_state import Mosaic, in_frame
 from .state import Assets, State
 from .values import Label, Mesh, Plane, PointCloud, Scene, Segments
 
@@ -48,11 +48,10 @@ def _instead(state: State) -> np.ndarray:
     mosaics = state.room(Mosaic).made
     if made := mosaics.get("simultaneous") or mosaics.get("sequential"):
         if made.registration.unit == "m":
-            from .mosaic_actions import to_scene  # which asks for the site of mosaics without a scale
-
             ring = np.concatenate([made.registration.footprint(k) for k in range(len(made.registration.names))])
             ring = ring[np.isfinite(ring).all(axis=1)]
-            return to_scene(state, made, np.column_stack([ring, made.registration.heights(ring)]))
+            xyz = np.column_stack([ring, made.registration.heights(ring)])
+            return in_frame(state.assets.frame, made.registration, xyz)
     network = state.room(Matching).network
     if network is not None and len(network.xyz):
         low, high = np.percentile(network.xyz, [1, 99], axis=0)

@@ -8,7 +8,8 @@ from solvers import Exterior
 
 from .ground import site
 from .matching_state import Matching
-from .scene import MANY, centres, position, prior
+from .scene import MANY, centres
+from .sighting import position, prior
 from .state import MODELS, State
 
 

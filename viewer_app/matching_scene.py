@@ -10,7 +10,8 @@ from . import theme
 from .ground import nice, symbol_size
 from .matching_state import COLOURS, Matching, Network
 from .memo import remembered
-from .scene import frustum_depth, prior
+from .scene import frustum_depth
+from .sighting import prior
 from .state import MODELS, State
 from .theme import Colour
 from .values import Frustum, Label, PointCloud, Scene

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from solvers import Block
-from solvers.geometry import LocalFrame
 from solvers.mosaic import seen_by
 
 from . import matching_actions as matching
@@ -324,41 +323,6 @@ def _layer(state: State, action: LayerCame) -> State:
     return state.with_room(replace(room, layer=action.layer))
 
 
-def to_scene(state: State, made: Made, xyz: np.ndarray) -> np.ndarray:
-    """(..., 3) scene coordinates of places (..., 3) of a mosaic, in the local frame of its registration."""
-    r = made.registration
-    if r.unit == "px":
-        return _plain(state, made, np.asarray(xyz, float))
-    ours: LocalFrame = state.assets.frame
-    if r.frame.crs == ours.crs and np.array_equal(r.frame.origin, ours.origin):
-        return np.asarray(xyz, float)
-    return ours.to_local(r.frame.to_map(xyz))
-
-
-def scale_of(state: State, made: Made) -> float:
-    """Scene metres per unit of the mosaic: 1, or for a mosaic without scale what makes it as large as the site."""
-    return 1.0 if made.registration.unit == "m" else _fit(state, made)[0]
-
-
-def _fit(state: State, made: Made) -> tuple[float, np.ndarray, np.ndarray]:
-    from .ground import site
-
-    corners = np.concatenate([made.registration.footprint(k) for k in range(len(made.registration.names))])
-    corners = corners[np.isfinite(corners).all(axis=1)]
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    begin, end = site(state)
-    scale = float((end - begin)[:2].max() / max((high - low).max(), 1e-9))
-    return scale, (low + high) / 2, np.append((begin + end)[:2] / 2, begin[2])
-
-
-def _plain(state: State, made: Made, xyz: np.ndarray) -> np.ndarray:
-    scale, middle, at = _fit(state, made)
-    out = np.empty(xyz.shape)
-    out[..., :2] = scale * (xyz[..., :2] - middle) + at[:2]
-    out[..., 2] = at[2]
-    return out
-
-
 __all__ = [
     "Ask",
     "CancelMosaic",
@@ -376,6 +340,4 @@ __all__ = [
     "TiesFound",
     "TilesCame",
     "WriteMosaic",
-    "scale_of",
-    "to_scene",
 ]

@@ -12,7 +12,7 @@ from solvers.mosaic.measured import Measured
 from . import theme
 from .ground import nice, site, symbol_size
 from .memo import remembered
-from .mosaic_actions import scale_of, to_scene
+from .mosaic_place import scale_of, to_scene
 from .mosaic_state import EXAGGERATIONS, METHODS, Layer, Made, Mosaic, Tile
 from .state import State
 from .values import Label, Picture, Scene, Segments

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from solvers import Block
-from solvers.geometry import Grid
+from solvers.geometry import Grid, LocalFrame
 from solvers.mosaic import Registration
 from solvers.workflows_mosaic import Offsets
 
@@ -157,3 +157,11 @@ def _without(block: Block, off: frozenset[str]) -> Block:
         "check" if n in off and r == "control" else r for n, r in zip(block.points.names, block.points.role, strict=True)
     )
     return replace(block, points=replace(block.points, role=roles))
+
+
+def in_frame(frame: LocalFrame, registration: Registration, xyz: np.ndarray) -> np.ndarray:
+    """(..., 3) places of a registration in metres as places of another local frame."""
+    theirs = registration.frame
+    if theirs.crs == frame.crs and np.array_equal(theirs.origin, frame.origin):
+        return np.asarray(xyz, float)
+    return frame.to_local(theirs.to_map(xyz))

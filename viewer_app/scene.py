@@ -16,6 +16,7 @@ from .bundle_state import exterior as bundled
 from .ground import ground, known_points, nice, points, site, symbol_size
 from .kept import by_identity
 from .looking import looked_through
+from .sighting import position, prior
 from .spots import spots
 from .state import MODELS, ONE_PASS, PRINTED, WITH_PRIOR, Assets, State, Work
 from .values import Ellipsoid, Frusta, Frustum, Label, Plane, Scene, Segments, dashed, frustum_corners
@@ -191,20 +192,6 @@ def any_exterior(state: State, image: str) -> Exterior | None:
         if solution and solution.rows:
             return Exterior.from_vector(solution.rows[-1].x)
     return bundled(state, image) or state.assets.truth.get(image) or prior(state, image)
-
-
-def prior(state: State, image: str) -> Exterior | None:
-    """The project's own approximate orientation of an image, where it is complete."""
-    given = state.block.images[state.block.image_index(image)].prior
-    if given is None or given.centre is None or given.angles is None:
-        return None
-    return Exterior.from_angles(*given.angles, centre=state.assets.frame.to_local(given.centre))
-
-
-def position(state: State, name: str) -> np.ndarray | None:
-    """Where the project's prior says that an image was taken (3,), in the local frame."""
-    given = state.block.images[state.block.image_index(name)].prior
-    return None if given is None or given.centre is None else state.assets.frame.to_local(given.centre)
 
 
 def _image(state: State, name: str, depth: float) -> Scene:

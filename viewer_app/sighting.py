@@ -9,8 +9,21 @@ from solvers.cameras import project
 from solvers.workflows_conjugate import View
 
 from .matching_state import Matching
-from .scene import prior
 from .state import MODELS, State
+
+
+def prior(state: State, image: str) -> Exterior | None:
+    """The project's own approximate orientation of an image, where it is complete."""
+    given = state.block.images[state.block.image_index(image)].prior
+    if given is None or given.centre is None or given.angles is None:
+        return None
+    return Exterior.from_angles(*given.angles, centre=state.assets.frame.to_local(given.centre))
+
+
+def position(state: State, name: str) -> np.ndarray | None:
+    """Where the project's prior says that an image was taken (3,), in the local frame."""
+    given = state.block.images[state.block.image_index(name)].prior
+    return None if given is None or given.centre is None else state.assets.frame.to_local(given.centre)
 
 
 def exterior_of(state: State, image: str) -> Exterior | None:

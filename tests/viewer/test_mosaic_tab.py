@@ -10,7 +10,8 @@ import pytest
 
 from tests.viewer.sessions import DEMO, HEAVY, Session, act, settle, until, viewed
 from viewer_app.app import App
-from viewer_app.mosaic_actions import ForgetPlaces, Look, to_scene
+from viewer_app.mosaic_actions import ForgetPlaces, Look
+from viewer_app.mosaic_place import to_scene
 from viewer_app.mosaic_state import Mosaic
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]
