@@ -9,6 +9,7 @@ import pytest
 from solvers import Block, Image, Observations, Prior
 from solvers.cli import main
 from solvers.io import files, write_project
+from tests.commands import refused
 from tests.projects import good_block
 
 
@@ -16,15 +17,6 @@ from tests.projects import good_block
 def site(tmp_path: Path) -> Path:
     write_project(good_block(), tmp_path / "site")
     return tmp_path / "site"
-
-
-def refused(capsys: pytest.CaptureFixture[str], *words: object, code: int = 1) -> str:
-    """The sentence with which a command refuses; checks all that every refusal must be."""
-    assert main([str(w) for w in words]) == code
-    out, err = capsys.readouterr()
-    assert out == "" and "Traceback" not in err
-    assert err.startswith("collinea: ") and err.count("\n") == 1 and err.endswith("\n"), err
-    return err
 
 
 def edit(path: Path, pattern: str, put: str, count: int = 1) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,17 +13,13 @@ from solvers.cli import main
 from solvers.io import write_project
 from solvers.orientation import adjust
 from solvers.simulation import calibration_plate
+from tests.commands import run
 
 
 def plate(folder: Path, seed: int, camera: Interior | None = None) -> Path:
     simulated = calibration_plate(seed) if camera is None else calibration_plate(seed, camera=camera)
     write_project(simulated.block, folder)
     return folder
-
-
-def run(capsys: pytest.CaptureFixture[str], *words: object) -> dict:
-    assert main([*map(str, words), "--json", "-"]) == 0
-    return json.loads(capsys.readouterr().out)
 
 
 def test_report_curves_and_conversions(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -15,31 +14,17 @@ from rerun.chunk import RrdReader
 from solvers import BadProject, Trace
 from solvers.adjustment import LARGE, Iteration, thin
 from solvers.cli import main
-from solvers.io import RowReader, RowWriter, demo_assets, load_trace, read_truth, save_trace, write_project
+from solvers.io import RowReader, RowWriter, load_trace, read_truth, save_trace, write_project
 from solvers.simulation import calibration_plate
 from solvers.workflows_bundle import AdjustedProject, StoppedRun, adjust_project
 from solvers.workflows_report import read_result, report_project
+from tests.commands import demo_without_photos, refused, run
 from viewer_app.rerun_bundle import Live
 
 
 @pytest.fixture
 def demo(tmp_path: Path) -> Path:
-    shutil.copytree(demo_assets(), tmp_path / "demo", ignore=shutil.ignore_patterns("images", "runs"))
-    text = (tmp_path / "demo" / "project.toml").read_text()
-    (tmp_path / "demo" / "project.toml").write_text(re.sub(r"^file = \"images/.*\n", "", text, flags=re.M))
-    return tmp_path / "demo"
-
-
-def run(capsys: pytest.CaptureFixture[str], *words: object) -> dict:
-    assert main([*map(str, words), "--json", "-"]) == 0
-    return json.loads(capsys.readouterr().out)
-
-
-def refused(capsys: pytest.CaptureFixture[str], *words: object, code: int = 1) -> str:
-    assert main([*map(str, words)]) == code
-    err = capsys.readouterr().err
-    assert err.startswith("collinea: ") and err.count("\n") == 1 and "Traceback" not in err
-    return err
+    return demo_without_photos(tmp_path)
 
 
 def test_adjust_agrees_with_the_truth_and_keeps_the_contract(demo: Path, capsys: pytest.CaptureFixture[str]) -> None:

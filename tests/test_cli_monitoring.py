@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import pytest
 from solvers.cli import main
 from solvers.io import read_truth
 from solvers.simulation.monitoring import MOVED
+from tests.commands import refused, run
 
 
 @pytest.fixture(scope="module")
@@ -19,18 +19,6 @@ def cliff(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     folder = tmp_path_factory.mktemp("cliff") / "wall"
     assert main(["simulate", "cliff_epochs", "-o", str(folder), "--seed", "5", "--quiet"]) == 0
     return [folder / f"epoch{k}" for k in (1, 2, 3)]
-
-
-def run(capsys: pytest.CaptureFixture[str], *words: object) -> dict:
-    assert main([*map(str, words), "--json", "-"]) == 0
-    return json.loads(capsys.readouterr().out)
-
-
-def refused(capsys: pytest.CaptureFixture[str], *words: object, code: int = 1) -> str:
-    assert main([*map(str, words)]) == code
-    err = capsys.readouterr().err
-    assert err.startswith("collinea: ") and err.count("\n") == 1 and "Traceback" not in err
-    return err
 
 
 def test_epochs_are_compared_and_agree_with_the_truth(cliff: list[Path], capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,7 +6,6 @@ import csv
 import json
 import os
 import re
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +16,8 @@ from solvers import Block, Exterior, Image, Interior, Observations, Points, Prio
 from solvers.cameras import project
 from solvers.cli import main, parser
 from solvers.geometry import LocalFrame, yaw_pitch_roll
-from solvers.io import demo_assets, read_project, read_truth, write_priors, write_project
+from solvers.io import read_project, read_truth, write_priors, write_project
+from tests.commands import demo_without_photos, refused, run
 
 CAMERA = Interior(35.0, pixel_mm=0.006, width=4000, height=3000)
 CENTRE = np.array([652300.0, 5401200.0, 320.0])
@@ -26,22 +26,7 @@ CRS = "EPSG:32632"
 
 @pytest.fixture
 def demo(tmp_path: Path) -> Path:
-    shutil.copytree(demo_assets(), tmp_path / "demo", ignore=shutil.ignore_patterns("images", "runs"))
-    text = (tmp_path / "demo" / "project.toml").read_text()
-    (tmp_path / "demo" / "project.toml").write_text(re.sub(r"^file = \"images/.*\n", "", text, flags=re.M))
-    return tmp_path / "demo"
-
-
-def run(capsys: pytest.CaptureFixture[str], *words: object) -> dict:
-    assert main([*map(str, words), "--json", "-"]) == 0
-    return json.loads(capsys.readouterr().out)
-
-
-def refused(capsys: pytest.CaptureFixture[str], *words: object, code: int = 1) -> str:
-    assert main([*map(str, words)]) == code
-    err = capsys.readouterr().err
-    assert err.startswith("collinea: ") and err.count("\n") == 1 and "Traceback" not in err
-    return err
+    return demo_without_photos(tmp_path)
 
 
 # -- intersect --------------------------------------------------------------------------------------------------------------

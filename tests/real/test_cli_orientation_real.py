@@ -2,17 +2,12 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from solvers.cli import main
 from solvers.io import read_project
-
-
-def run(capsys: pytest.CaptureFixture[str], *words: object) -> dict[str, Any]:
-    assert main([*map(str, words), "--json", "-"]) == 0
-    return json.loads(capsys.readouterr().out)
+from tests.commands import run
 
 
 def test_brighton_names_the_reversed_strip_and_turns_it(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
