@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,8 +16,6 @@ from .ncc import flat_variance, match_ncc
 from .patches import SMOOTH, Photo, prepare
 from .problem import LsmProblem, lsm_problem, spline
 from .result import LsmResult, NccResult, Status
-
-STEPS = Options(max_iterations=30, step_tolerance=0.02)  # standard deviations, at a noise of 1 grey value
 
 
 class Patches(NamedTuple):
@@ -83,10 +82,22 @@ def match_stepped(template_image: np.ndarray | Photo, target_image: np.ndarray |
         free = lsm.free[0] if lsm.free[0].any() else None
         try:
             problem, x0 = lsm_problem(template, target, at[0], begin, window, matrix[0], SMOOTH, free)
-            rows = tuple(iterate(problem, x0, STEPS))
+            rows = tuple(_rows(problem, x0, options))
         except DegenerateGeometry:
             problem = None
     return Stepped(at[0], start[0], surface, middle, ncc, lsm, problem, rows)
+
+
+def _rows(problem: LsmProblem, x0: np.ndarray, options: LsmOptions) -> Iterator[Iteration]:
+    """Iterations as far as the batch goes: to the first that moves the window's middle by less than `options.step`."""
+    last = problem.middle(x0)
+    for row in iterate(problem, x0, Options.gauss_newton(options.max_iterations)):
+        middle = problem.middle(row.x)
+        if row.index and np.abs(middle - last).max() < options.step:
+            yield replace(row, stop="step")
+            return
+        last = middle
+        yield row
 
 
 def correlations(template: Photo, target: Photo, at: np.ndarray, middle: np.ndarray, half: int, search: int,

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -73,8 +75,7 @@ def _homography(a: np.ndarray, b: np.ndarray, threshold: float) -> tuple[np.ndar
     nothing = np.zeros(len(a), bool)
     if len(a) < 4:
         return None, nothing
-    cv2.setRNGSeed(0)
-    matrix, _ = cv2.findHomography(a, b, cv2.USAC_ACCURATE, threshold, None, _TRIALS, _CONFIDENCE)
+    matrix = _sampled(cv2.findHomography, a, b, cv2.USAC_ACCURATE, threshold, None, _TRIALS, _CONFIDENCE)
     if matrix is None or not np.isfinite(matrix).all() or abs(np.linalg.det(matrix)) < 1e-12:
         return None, nothing
     depth = a @ matrix[2, :2] + matrix[2, 2]
@@ -101,8 +102,8 @@ def _essential(a: np.ndarray, b: np.ndarray, interiors: tuple[Interior | None, I
     pitch = 0.5 * (first.pitch.mean() / first.c + second.pitch.mean() / second.c)  # of a pixel, as a tangent
     if known.sum() < 8:
         return None
-    cv2.setRNGSeed(0)
-    matrix, _ = cv2.findEssentialMat(p[known], q[known], np.eye(3), cv2.USAC_ACCURATE, _CONFIDENCE, threshold * pitch, _TRIALS)
+    matrix = _sampled(cv2.findEssentialMat, p[known], q[known], np.eye(3), cv2.USAC_ACCURATE, _CONFIDENCE, threshold * pitch,
+                      _TRIALS)
     if matrix is None or matrix.shape != (3, 3):
         return None
     return np.nan_to_num(_sampson(matrix, p, q), nan=np.inf) < threshold * pitch
@@ -113,9 +114,20 @@ def _fundamental(a: np.ndarray, b: np.ndarray, threshold: float) -> np.ndarray |
 
     if len(a) < 8:
         return None
-    cv2.setRNGSeed(0)
-    matrix, _ = cv2.findFundamentalMat(a, b, cv2.USAC_ACCURATE, threshold, _CONFIDENCE, _TRIALS)
+    matrix = _sampled(cv2.findFundamentalMat, a, b, cv2.USAC_ACCURATE, threshold, _CONFIDENCE, _TRIALS)
     return None if matrix is None or matrix.shape != (3, 3) else _sampson(matrix, a, b) < threshold
+
+
+def _sampled(estimate: Callable[..., Any], *arguments: Any) -> np.ndarray | None:
+    """The matrix OpenCV's RANSAC finds, the same in every run; None where there is none, which USAC may say by a failed assertion
+    (a polished model without a solution: wrong matches only)."""
+    import cv2
+
+    cv2.setRNGSeed(0)
+    try:
+        return estimate(*arguments)[0]
+    except cv2.error:
+        return None
 
 
 def _sampson(matrix: np.ndarray, p: np.ndarray, q: np.ndarray) -> np.ndarray:

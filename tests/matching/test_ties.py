@@ -275,3 +275,15 @@ def test_a_plane_is_not_taken_for_a_fundamental_matrix() -> None:
     assert found is not None and found.kind == "homography"
     assert found.inlier[:120].mean() > 0.98 and found.inlier[120:].sum() <= 1
     assert verify(a[120:], b[120:], (None, None), 3.0) is None
+
+
+def test_a_pair_whose_geometry_opencv_gives_up_is_a_pair_without_geometry(monkeypatch: pytest.MonkeyPatch) -> None:
+    """USAC asserts, seldom, that wrong matches have a model; the other pairs go on."""
+    import cv2
+
+    def fails(*_: object) -> None:
+        raise cv2.error("(-215:Assertion failed) !model.empty() in function 'setModelParameters'")
+
+    monkeypatch.setattr(cv2, "findFundamentalMat", fails)
+    rng = np.random.default_rng(8)
+    assert verify(rng.uniform(0, 900, (20, 2)), rng.uniform(0, 900, (20, 2)), (None, None), 2.0) is None
