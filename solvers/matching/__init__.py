@@ -11,6 +11,7 @@ from .stepped import Patches, Stepped, match_stepped
 from .targets import TargetOptions, Targets, find_targets
 from .ties import Store, TieOptions, TiePair, TiePhoto, Ties
 
-__all__ = ["GAUSS_NEWTON", "LsmOptions", "LsmProblem", "LsmResult", "NccResult", "Patches", "Photo", "Shared", "Status", "Stepped", "Store",
-           "TargetOptions", "Targets", "TieOptions", "TiePair", "TiePhoto", "Ties", "find_targets", "lsm_problem",
-           "match_lsm", "match_ncc", "match_stepped", "number_targets", "predict", "prepare", "shared", "tie_points"]
+__all__ = ["GAUSS_NEWTON", "LsmOptions", "LsmProblem", "LsmResult", "NccResult", "Patches", "Photo", "Shared", "Status",
+           "Stepped", "Store", "TargetOptions", "Targets", "TieOptions", "TiePair", "TiePhoto", "Ties", "find_targets",
+           "lsm_problem", "match_lsm", "match_ncc", "match_stepped", "number_targets", "predict", "prepare", "shared",
+           "tie_points"]

@@ -12,8 +12,10 @@ from .test_lsm import pair
 
 
 def check_design(problem: LsmProblem, x: np.ndarray, photo: Photo) -> None:
-    """photo: the template's, its middle the window's. The design matrix is the derivative of the template warped by dx, less what offset and gain
-    take; retract undoes that warp."""
+    """The design matrix is the derivative of the template warped by dx, less what offset and gain take; retract undoes that warp.
+
+    photo: the template's, its middle the window's.
+    """
     f = problem.template.ravel() - problem.template.mean()
     u, v = problem.offsets()
     for k in range(problem.jacobian.shape[1]):
@@ -54,7 +56,7 @@ def test_the_design_matrix_is_the_derivative_of_the_template(between: float):
 def test_the_engine_ends_where_the_compiled_batch_does(noise: float):
     left, right, at, truth = pair(12, noise=noise)
     left, right = prepare(left), prepare(right)
-    at, start = at + [0.37, -0.28], truth + [0.4, -0.4]  # points are as good between the pixels
+    at, start = at + np.array([0.37, -0.28]), truth + np.array([0.4, -0.4])  # points are as good between the pixels
     batch = match_lsm(left, right, at, start, options=LsmOptions(step=1e-5))
     for i in range(0, len(at), 25):
         problem, x0 = lsm_problem(left, right, at[i], start[i], free=batch.free[i])
