@@ -16,6 +16,8 @@ import io
 import os
 import re
 import shutil
+import subprocess
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -137,6 +139,20 @@ def chromium_page(url: str, *, size: tuple[int, int] = (1280, 800), drawn: bool 
             yield page, log
         finally:
             browser.close()
+
+
+@contextlib.contextmanager
+def lone_chromium(url: str, size: tuple[int, int]) -> Iterator[None]:
+    """A page nobody drives and no developer tools listen to: they hand on every message as text, which takes far longer than the
+    message itself. For measurements; what the page has to say it says to its server."""
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        flags = [*FLAGS, f"--user-data-dir={profile}", f"--window-size={size[0]},{size[1]}"]
+        program = subprocess.Popen([require_chromium(), *flags, url], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        try:
+            yield
+        finally:
+            program.terminate()
+            program.wait()
 
 
 @contextlib.contextmanager

@@ -36,7 +36,8 @@ PICK_PIXELS = 12.0
 """How far from a point's middle a click still means it, pixels of the screen."""
 LATENCIES = 200
 PATIENCE = 0.04
-"""How long a repaint waits for the chosen image's solutions, which then come in the same picture, seconds."""
+"""How long a repaint waits for the chosen image's solutions, which then come in the same picture, seconds; anything else that
+happens meanwhile is answered at once."""
 
 
 class App:
@@ -105,11 +106,11 @@ class App:
         while not self._closed.is_set():
             taken = self._take()
             began = time.perf_counter()
-            self._apply(taken)
-            while taken and self._solving() and (left := began + PATIENCE - time.perf_counter()) > 0:
+            worked = self._apply(taken)
+            while worked and self._solving() and (left := began + PATIENCE - time.perf_counter()) > 0:
                 with suppress(queue.Empty):
                     more = self._actions.get(timeout=left)
-                    self._apply([more] if more is not None else [])
+                    worked = self._apply([more] if more is not None else [])
                     taken.append(more)
             if taken:
                 self._paint()
@@ -118,12 +119,17 @@ class App:
             for _ in taken:
                 self._actions.task_done()
 
-    def _apply(self, taken: Sequence[Action | Callable[[], None]]) -> None:
-        """What the actions make of the state; one that fails is said. A function is called when all before it was taken."""
+    def _apply(self, taken: Sequence[Action | Callable[[], None]]) -> bool:
+        """What the actions make of the state; one that fails is said. A function is called when all before it was taken.
+
+        Gives whether all of them were about what is solved: then more of that may come soon.
+        """
+        worked = bool(taken)
         for action in taken:
             if not isinstance(action, Action):
                 action()
                 continue
+            before = self._state
             try:
                 self._state = update(self._state, action)
                 if isinstance(action, Fly):
@@ -131,6 +137,8 @@ class App:
             except Exception as error:
                 logging.getLogger("collinea").exception("%s", action)
                 self._state = update(self._state, Say(f"{type(action).__name__} could not be done: {error}"))
+            worked = worked and _solved_otherwise(before, self._state)
+        return worked
 
     def _keep(self) -> None:
         """The session follows what people do; what the solver finds is no part of it."""
@@ -314,6 +322,12 @@ class App:
         action = next((a for meant in meanings if (a := meant(self._state, *ray)) is not None), None)
         if action is not None:
             self.emit(asked_by(action, event.client.client_id))
+
+
+def _solved_otherwise(before: State, after: State) -> bool:
+    """Whether an action changed what is solved, or of which image it is shown."""
+    old, new = before.work, after.work
+    return old.solutions is not new.solutions or (old.revision, before.image) != (new.revision, after.image)
 
 
 def run(

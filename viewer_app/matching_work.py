@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import queue
-import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -19,6 +16,7 @@ from solvers.matching import Shared, match_stepped, shared
 from solvers.orientation import Plane
 from solvers.workflows_conjugate import Guess, View, by_orientation, by_point, by_ties
 
+from .following import followed
 from .matching_state import Ask, Found, Network
 
 FAR = 60.0
@@ -149,43 +147,16 @@ def _window(sight: Sight, at: np.ndarray, reach: float) -> tuple[np.ndarray, np.
 
 def ties_work(block: Block, folder: Path, workers: int) -> Iterator[str | tuple[Block, str]]:
     """Words on how far the search for tie points is; last the block with them, and words on what was found."""
-    from solvers.execution import Progress
     from solvers.workflows_matching import ties_of_block
 
-    said: queue.Queue[Any] = queue.Queue()
-    stop = threading.Event()
-
-    class Stopped(Exception):
-        pass
-
-    def report(at: Progress) -> None:
-        if stop.is_set():
-            raise Stopped
-        said.put(f"Tie points, {at.stage}: {at.done} of {at.total}, about {at.left:.0f} s left")
-
-    def work() -> None:
-        try:
-            said.put(ties_of_block(block, folder, workers=workers, report=report))
-        except BaseException as error:  # it crosses over to the caller's thread
-            said.put(error)
-
-    thread = threading.Thread(target=work, daemon=True)
-    thread.start()
-    try:
-        while True:
-            value = said.get()
-            if isinstance(value, BaseException):
-                raise value
-            if isinstance(value, str):
-                yield value
-                continue
-            new, ties = value
-            rays = int((ties.rays >= 3).sum())
-            failed = "".join(f"; {name}: {why}" for name, why in ties.failed.items())
-            yield new, f"{len(ties.points)} tie points found, {rays} of them in three photos and more{failed}."
-            return
-    finally:
-        stop.set()
+    for value in followed(lambda report: ties_of_block(block, folder, workers=workers, report=report), "Tie points"):
+        if isinstance(value, str):
+            yield value
+            continue
+        new, ties = value
+        rays = int((ties.rays >= 3).sum())
+        failed = "".join(f"; {name}: {why}" for name, why in ties.failed.items())
+        yield new, f"{len(ties.points)} tie points found, {rays} of them in three photos and more{failed}."
 
 
 def adjust_work(block: Block, frame: LocalFrame) -> Iterator[str | Network]:

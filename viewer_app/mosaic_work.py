@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import queue
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -14,12 +12,12 @@ from typing import Any, Literal
 import numpy as np
 
 from solvers import BadProject, Block
-from solvers.execution import Progress
 from solvers.geometry import Grid
 from solvers.mosaic import Registration
 from solvers.workflows_compose import ComposeRequest, compose_photos, ground_of, placed_at
 from solvers.workflows_mosaic import MosaicRequest, Offsets, point_offsets, registered_block, registered_json
 
+from .following import followed
 from .mosaic_state import BLENDS, KINDS, PLANES, Ask, Tile
 
 SIDE = 256
@@ -140,40 +138,6 @@ def write_work(registration: Registration, files: Mapping[str, Path], out: Path,
         else:
             beside = "its world file and footprints beside it"
             yield f"={out}: {value['width']} x {value['height']} px of {value['gsd']:g} {value['unit']}, {beside}."
-
-
-def followed(work: Callable[[Callable[[Progress], object]], Any], title: str) -> Iterator[Any]:
-    """Words on the progress that a function reports, then its value; it ends at its next report when nobody asks any more."""
-    said: queue.Queue[Any] = queue.Queue()
-    stop = threading.Event()
-
-    class Stopped(Exception):
-        pass
-
-    def report(at: Progress) -> None:
-        if stop.is_set():
-            raise Stopped
-        said.put(f"{title}, {at.stage}: {at.done} of {at.total}, about {at.left:.0f} s left")
-
-    def run() -> None:
-        try:
-            said.put(("done", work(report)))
-        except BaseException as error:  # it crosses over to the caller's thread
-            said.put(error)
-
-    threading.Thread(target=run, daemon=True).start()
-    try:
-        yield f"{title}: preparing"
-        while True:
-            value = said.get()
-            if isinstance(value, BaseException):
-                raise value
-            if isinstance(value, tuple):
-                yield value[1]
-                return
-            yield value
-    finally:
-        stop.set()
 
 
 # -- small pictures ---------------------------------------------------------------------------------------------------------

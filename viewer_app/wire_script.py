@@ -166,6 +166,6 @@ window.collinea = (() => {
     box.addEventListener('keydown', () => done.abort(), {signal});
     box.addEventListener('blur', back, {signal});
   };
-  return {press, key, change, typed, down, wheel, reach};
+  return {send, press, key, change, typed, down, wheel, reach};
 })();
 """

@@ -11,15 +11,21 @@ import os
 import queue
 import sys
 import threading
+from contextlib import suppress
 from typing import Any, BinaryIO
 
 from solvers import PhotogrammetryError
 
 from .frames import Receiver, Sender
 
+NICE = 10
+"""How much the worker steps back behind the viewer and its page, which must answer at once while it computes."""
+
 
 def main() -> None:
     """Serve the viewer at the other end of standard input and output."""
+    with suppress(OSError, AttributeError):  # a system without niceness
+        os.nice(NICE)
     source = sys.stdin.buffer
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # a library that prints must not speak between the messages

@@ -1,7 +1,11 @@
-"""A small site made by hand: a tilted camera over sixteen points in four groups, with check points, a photo and known truth."""
+"""A small site made by hand: a tilted camera over sixteen points in four groups, with check points, a photo and known truth.
+
+And what every module with a `session` (sessions.py) shares.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +15,8 @@ import pytest
 from solvers import Block, Exterior, Image, Interior, Observations, Points
 from solvers.cameras import project
 from solvers.geometry import LocalFrame
+from tests.viewer.sessions import POINTS_ONLY, Session, act, settle
+from viewer_app.actions import Show
 from viewer_app.loading import first_state
 from viewer_app.state import Assets, Photo, State, Terrain, Work
 
@@ -64,6 +70,27 @@ def make_state(photo: Path | None = None) -> State:
 def flat(state: State) -> State:
     """The same without terrain."""
     return replace(state, assets=replace(state.assets, terrain=None))
+
+
+@pytest.fixture(autouse=True)
+def nothing_goes_wrong(request: pytest.FixtureRequest) -> Iterator[None]:
+    """After every test with a browser: the page had no error and asked nobody else for anything."""
+    session = request.getfixturevalue("session") if "session" in request.fixturenames else None
+    yield
+    if session is not None:
+        app, v = session
+        settle(app, v)
+        assert v.log.errors == [] and v.log.external == []
+
+
+@pytest.fixture
+def points_only(session: Session) -> Iterator[Session]:
+    """A session whose scene shows the points alone."""
+    app, v = session
+    before = app.state.view
+    act(app, v, *(Show(name, False) for name in POINTS_ONLY))
+    yield app, v
+    act(app, v, *(Show(name, getattr(before, name)) for name in POINTS_ONLY))
 
 
 @pytest.fixture(scope="session")

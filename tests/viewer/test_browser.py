@@ -14,8 +14,6 @@ from solvers.cameras import project
 from solvers.orientation import Monoplotted
 from tests.browser import ViserPage
 from tests.viewer.sessions import (
-    HEAVY,
-    POINTS_ONLY,
     Session,
     act,
     camera_arrived,
@@ -46,22 +44,6 @@ pytestmark = [pytest.mark.browser, pytest.mark.timeout(400)]
 def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
     with demo_session(tmp_path_factory.mktemp("viewer") / "demo") as made:
         yield made
-
-
-@pytest.fixture
-def points_only(session: Session) -> Iterator[Session]:
-    app, v = session
-    act(app, v, *(Show(name, False) for name in POINTS_ONLY))
-    yield app, v
-    act(app, v, *(Show(name, True) for name in POINTS_ONLY if name not in HEAVY))
-
-
-@pytest.fixture(autouse=True)
-def nothing_goes_wrong(session: Session) -> Iterator[None]:
-    yield
-    app, v = session
-    settle(app, v)
-    assert v.log.errors == [] and v.log.external == []
 
 
 # -- where things stand

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from tests.browser import ViserPage
-from tests.viewer.sessions import HEAVY, POINTS_ONLY, Session, act, camera_path, demo_session, downloaded, expected_pixels, settle
+from tests.viewer.sessions import HEAVY, Session, act, camera_path, demo_session, downloaded, expected_pixels, settle
 from viewer_app import theme
 from viewer_app.actions import Show
 from viewer_app.app import App
@@ -25,14 +25,6 @@ pytestmark = [pytest.mark.browser, pytest.mark.timeout(400)]
 def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
     with demo_session(tmp_path_factory.mktemp("scene") / "demo", drawn=True) as made:
         yield made
-
-
-@pytest.fixture(autouse=True)
-def nothing_goes_wrong(session: Session) -> Iterator[None]:
-    yield
-    app, v = session
-    settle(app, v)
-    assert v.log.errors == [] and v.log.external == []
 
 
 def test_the_demo_opens(session: Session) -> None:
@@ -66,14 +58,6 @@ def measured_points(app: App, v: ViserPage) -> tuple[np.ndarray, np.ndarray]:
         distances.append(np.hypot(cols[drawn].mean() + 0.5 - x, rows[drawn].mean() + 0.5 - y) if drawn.sum() > 8 else np.inf)
         colours.append(error[around & (picture[..., 3] > 250)].min(initial=np.inf))
     return np.array(distances), np.array(colours)
-
-
-@pytest.fixture
-def points_only(session: Session) -> Iterator[Session]:
-    app, v = session
-    act(app, v, *(Show(name, False) for name in POINTS_ONLY))
-    yield app, v
-    act(app, v, *(Show(name, True) for name in POINTS_ONLY if name not in HEAVY))
 
 
 def test_points_appear_where_projection_says_and_in_their_colour(points_only: Session) -> None:

@@ -32,7 +32,7 @@ def everything_is_taken_back(session: Session) -> Iterator[None]:
     for _ in range(20):
         if app.state.work is not before:
             act(app, v, Undo())
-    assert app.state.work.block is before.block and v.log.errors == [] and v.log.external == []
+    assert app.state.work.block is before.block
 
 
 def table(v: ViserPage, tab: str = "Points", name: str = "Points") -> Locator:

@@ -65,7 +65,6 @@ def solver(session: Session, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callab
     yield lambda call: monkeypatch.setattr(solving, "solve", call)
     monkeypatch.undo()
     act(app, v, Undo(), Solve())
-    assert v.log.errors == [] and v.log.external == []
     assert all(s.orientation or s.advice for s in app.state.work.solutions.values())
 
 

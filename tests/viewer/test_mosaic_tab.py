@@ -28,14 +28,6 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
         yield app, v
 
 
-@pytest.fixture(autouse=True)
-def nothing_goes_wrong(session: Session) -> Iterator[None]:
-    yield
-    app, v = session
-    settle(app, v)
-    assert v.log.errors == [] and v.log.external == []
-
-
 def room(app: App) -> Mosaic:
     return app.state.room(Mosaic)
 
