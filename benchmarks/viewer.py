@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -206,14 +206,14 @@ class LonePage:
         """With the page open, at rest, and the frames recorded."""
         from websockets.asyncio.connection import Connection
 
-        real = Connection.send
+        real, library = Connection.send, cast(Any, Connection)
 
         async def send(connection: Any, message: Any, text: bool | None = None) -> None:
             began = time.perf_counter()
             await real(connection, message, text)  # comes back when the system has all but the last 64 kB
             self.sent.append((len(message), began, time.perf_counter()))
 
-        Connection.send = send
+        library.send = send
         try:
             with lone_chromium(f"http://127.0.0.1:{self._server.get_port()}/?fixedDpr=1", size):
                 while not self._server.get_clients():
@@ -223,7 +223,7 @@ class LonePage:
                     self.answer()
                 yield
         finally:
-            Connection.send = real
+            library.send = real
 
 
 def points(n: int = 5_000_000) -> dict[str, Any]:

@@ -20,7 +20,7 @@ sys.path.insert(0, str(DOCS.parent))
 from tests.browser import ViserPage, viser_page  # noqa: E402
 from viewer_app.actions import GoTo, Show  # noqa: E402
 from viewer_app.app import App  # noqa: E402
-from viewer_app.bundle_state import RunBundle  # noqa: E402
+from viewer_app.bundle_actions import RunBundle  # noqa: E402
 from viewer_app.figures import ELEMENTS, RESIDUALS, ChooseFigure  # noqa: E402
 from viewer_app.mosaic_actions import MakeMosaic  # noqa: E402
 

@@ -6,7 +6,7 @@ import hashlib
 import json
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -93,6 +93,7 @@ def compose_photos(registration: Registration, photos: Mapping[str, Path], out: 
     Beside it: a world file, OUT.footprints.geojson and with seams OUT.seams.geojson. Raises PhotogrammetryError.
     """
     out, request = _must_be_writable(Path(out), request)
+    _must_be_no_source(out, [*photos.values(), *([Path(request.surface)] if request.surface != "plane" else [])])
     start, spent, files = time.perf_counter(), time.process_time(), {n: Path(photos[n]) for n in registration.names}
     placed = [_placed(registration, k, files[n]) for k, n in enumerate(registration.names)]
     ground, surface = ground_of(registration, placed, request)
@@ -149,6 +150,11 @@ def _must_be_writable(out: Path, request: ComposeRequest) -> tuple[Path, Compose
         raise BadProject("JPEG does not keep a nodata value as it is; leave --nodata out (the file gets a mask), or take "
                          "--compression deflate")
     return out.resolve(), replace(request, compression="deflate") if picture else request
+
+
+def _must_be_no_source(out: Path, sources: Iterable[Path]) -> None:
+    if out in {file.resolve() for file in map(Path, sources)}:
+        raise BadProject(f"{out}: the mosaic is made from this file; give another name")
 
 
 def _placed(registration: Registration, k: int, file: Path) -> Placed:

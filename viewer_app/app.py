@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -169,7 +170,7 @@ class App:
 
     def _solving(self) -> bool:
         """Asks for what is missing; whether the chosen image's own solutions are still to come."""
-        self._jobs.want(wanted_tasks(self._state))
+        self._try("The work to be done", lambda: self._jobs.want(wanted_tasks(self._state)))
         jobs = wanted(self._state)
         return any(job.image == self._state.image and job.model in MODELS for job in jobs)
 
@@ -188,9 +189,10 @@ class App:
         return [a for a in taken if a is not None]
 
     def _paint(self) -> None:
-        """Ask for what is missing, then show the state: scene and panels in one block."""
+        """Ask for what is missing, then show the state: scene and panels in one block; one that fails does not take the others
+        with it."""
         state = self._state
-        self._jobs.want(wanted_tasks(state))
+        self._try("The work to be done", lambda: self._jobs.want(wanted_tasks(state)))
         jobs = wanted(state)
         if not any(job.image == state.image and job.model in MODELS for job in jobs):
             self._first.set()
@@ -200,11 +202,21 @@ class App:
             self._look()
             self._home_opens = bool(jobs)
         with self.server.atomic():
-            self._painter.paint(whole_scene(state))
+            self._try("The scene", lambda: self._painter.paint(whole_scene(state)))
             for panel in self._panels:
-                panel.draw(state)
+                self._try(f"The {type(panel).__name__}", partial(panel.draw, state))
             self._theme(state.view.dark)
         self.server.flush()
+
+    def _try(self, what: str, do: Callable[[], None]) -> None:
+        """The loop lives on whatever fails: it is said."""
+        try:
+            do()
+        except Exception as error:
+            logging.getLogger("collinea").exception("%s", what)
+            words = Say(f"{what} failed ({type(error).__name__}: {error}); Undo may help")
+            if self._state.message != words.message:
+                self.emit(words)
 
     def _read(self) -> None:
         """Terrain and photos, once the chosen image is solved: reading must not hold up what is looked for first."""

@@ -190,6 +190,8 @@ def guard_values(server: viser.ViserServer, afterwards: Callable[[Callable[[], N
     sizes: dict[str, int] = {}
 
     def starts(client_id: int, message: Any) -> None:
+        for left in [t for t in sizes if t not in gui._current_file_upload_states]:  # its browser has gone
+            del sizes[left]
         handle = gui._gui_input_handle_from_uuid.get(message.source_component_uuid)
         fits = isinstance(message.size_bytes, int) and 0 <= message.size_bytes <= MAX_UPLOAD and len(sizes) < 8
         if isinstance(handle, viser.GuiUploadButtonHandle) and fits:

@@ -8,7 +8,9 @@ import numpy as np
 
 from solvers import Interior
 
-from .bundle_state import Bundle, Layout, Misfit, image_number, misfit
+from .bundle_rows import Misfit, image_number, misfit
+from .bundle_state import Bundle
+from .bundle_values import Layout
 from .kept import by_identity
 from .memo import remembered
 from .state import State

@@ -10,20 +10,9 @@ from solvers.adjustment import Iteration
 from . import theme
 from .acting import Action
 from .actions import ChooseImage, ChoosePoint
-from .bundle_state import (
-    COLOURED,
-    FACTORS,
-    Bundle,
-    Judged,
-    Layout,
-    Misfit,
-    given_places,
-    image_number,
-    inner_extent,
-    misfit,
-    point_rms,
-    ray_counts,
-)
+from .bundle_rows import Misfit, given_places, image_number, inner_extent, misfit, point_rms, ray_counts
+from .bundle_state import COLOURED, FACTORS, Bundle
+from .bundle_values import Judged, Layout
 from .ground import nice, site, symbol_size
 from .kept import by_identity
 from .matching_scene import RAYS, SCALE, UNKNOWN

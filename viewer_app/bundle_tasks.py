@@ -8,7 +8,8 @@ from typing import Any
 from solvers import Block
 
 from .acting import Action
-from .bundle_state import LEAST_SQUARES, Bundle, BundleCame, BundleFailed, taking_part
+from .bundle_actions import BundleCame, BundleFailed
+from .bundle_state import LEAST_SQUARES, Bundle, taking_part
 from .bundle_work import bundle_work, follow_work, keep_work
 from .kept import by_identity
 from .state import State

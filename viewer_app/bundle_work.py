@@ -14,7 +14,7 @@ from solvers import Block, DegenerateGeometry
 from solvers.adjustment import Iteration, Trace, iterate, thin
 from solvers.geometry import LocalFrame
 
-from .bundle_state import Ended, Judged, Kept, Layout, layout_of
+from .bundle_values import Ended, Judged, Kept, Layout, layout_of
 
 SILENT = "stopped"
 """The stop reason of a trace that a person ended."""

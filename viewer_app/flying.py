@@ -8,7 +8,7 @@ import numpy as np
 
 from .acting import Action, handles, update
 from .actions import ChooseImage, ChoosePoint
-from .bundle_state import place
+from .bundle_rows import place
 from .ground import site
 from .looking import look_through, looked_through
 from .scene import any_exterior, frustum_depth

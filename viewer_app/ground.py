@@ -9,7 +9,8 @@ import numpy as np
 from solvers.block import Points
 
 from . import theme
-from .bundle_state import Bundle, inner_extent, inner_places
+from .bundle_rows import inner_extent, inner_places
+from .bundle_state import Bundle
 from .kept import by_identity
 from .matching_state import Matching
 from .mosaic_state import Mosaic, in_frame

@@ -19,6 +19,7 @@ from .mosaic_state import METHODS, Ask, Layer, Made, Mosaic, block_of
 from .mosaic_work import Batch, Begun, mosaic_work, write_work
 from .state import State
 from .tasks import Task
+from .uploads import inside
 
 LANE = "mosaic"
 
@@ -115,8 +116,8 @@ def _layer(made: Made, folder: Path, path: str) -> Task:
     def arrive(value: str | Layer) -> Action:
         return Progressing(value) if isinstance(value, str) else _layered(value)
 
-    file = (folder / path).resolve()
-    if file.is_relative_to(folder.resolve()):
+    file = inside(folder, path)
+    if file is not None:
         call, arguments = layer_work, (file, made.tiles, made.grid, made.registration)
     else:
         why = f"{path}: the viewer reads maps within the project's folder only; hand the map over or copy it there"
@@ -137,17 +138,13 @@ def _layered(layer: Layer) -> Action:
 
 
 def _write(made: Made, folder: Path, path: str) -> Task:
-    out = (folder / path).resolve()
-    inside = out.is_relative_to(folder.resolve())
-    call, arguments = (
-        write_work,
-        (made.registration, files_of(folder, made.block), out, made.ask, dem_of(folder, made.block), made.block.crs),
-    )
-    if not inside:
-        call, arguments = (
-            _refuse,
-            (f"{path}: the viewer writes within the project's folder only; give a name such as mosaic.tif",),
-        )
+    out = inside(folder, path)
+    if out is not None:
+        call = write_work
+        arguments = (made.registration, files_of(folder, made.block), out, made.ask, dem_of(folder, made.block), made.block.crs)
+    else:
+        why = f"{path}: the viewer writes within the project's folder only; give a name such as mosaic.tif"
+        call, arguments = _refuse, (why,)
 
     def arrive(value: str) -> Action:
         return Ended("write", value[1:]) if value.startswith("=") else Progressing(value)

@@ -47,20 +47,29 @@ class Painter:
         with self._server.atomic():
             for path in [p for p in self._shown if p not in scene]:
                 self._remove(path)
-            for path, value in scene.items():
-                old = self._shown.get(path)
-                if old is value or (old is not None and equal(old, value)):
-                    continue
-                self.sent += 1
-                if old is None or type(old) is not type(value) or not self._change(path, old, value):
-                    self._remove(path)
-                    self._nodes[path] = ADD[type(value)](self._server.scene, path, value)
-                self._shown[path] = value
+            todo = scene
+            while todo:
+                for path, value in todo.items():
+                    self._show(path, value)
+                todo = {path: value for path, value in scene.items() if path not in self._shown}
+
+    def _show(self, path: str, value: Value) -> None:
+        old = self._shown.get(path)
+        if old is value or (old is not None and equal(old, value)):
+            return
+        self.sent += 1
+        if old is None or type(old) is not type(value) or not self._change(path, old, value):
+            self._remove(path)
+            self._nodes[path] = ADD[type(value)](self._server.scene, path, value)
+        self._shown[path] = value
 
     def _remove(self, path: str) -> None:
+        """A node leaves, and with it all below it, as viser has it."""
         for node in self._nodes.pop(path, []):
             node.remove()
-        self._shown.pop(path, None)
+        for gone in [p for p in self._shown if p == path or p.startswith(f"{path}/")]:
+            self._nodes.pop(gone, None)
+            del self._shown[gone]
 
     def _change(self, path: str, old: Value, new: Value) -> bool:
         """Change nodes in place; False where they have to be made anew."""

@@ -12,7 +12,7 @@ from solvers.cameras import ideal_photo
 from solvers.orientation import Orientation
 
 from . import theme
-from .bundle_state import exterior as bundled
+from .bundle_rows import exterior as bundled
 from .ground import ground, known_points, nice, points, site, symbol_size
 from .kept import by_identity
 from .looking import looked_through

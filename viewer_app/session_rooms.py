@@ -16,7 +16,8 @@ from solvers import Exterior
 from solvers.adjustment import Iteration
 
 from .acting import update
-from .bundle_state import Bundle, RunBundle, bundle_choices, bundle_of_choices
+from .bundle_actions import RunBundle
+from .bundle_state import Bundle, bundle_choices, bundle_of_choices
 from .epochs import Epochs, GoToEpoch, reopened
 from .figures import FIGURES, Figure
 from .kept_run import KeptRun

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
@@ -18,6 +19,16 @@ def base_name(name: str) -> str:
     """The last part of whatever path a browser names, letters, digits, and - _ . alone; "" where nothing is left of it."""
     last = PurePosixPath(PureWindowsPath(str(name)).name).name
     return re.sub(r"[^\w.-]+", "_", last, flags=re.ASCII).lstrip(".")[-LONGEST:].lstrip(".")
+
+
+def inside(folder: Path, said: str) -> Path | None:
+    """The file of a project's folder that a person means; None where it leads out of it, or is no name of a file at all."""
+    try:
+        file, root = (folder / said).resolve(), folder.resolve()
+        named = all(len(os.fsencode(part)) <= 255 for part in file.parts)
+    except (ValueError, OSError):  # a character that no file's name has
+        return None
+    return file if named and file.is_relative_to(root) else None
 
 
 def is_tiff(head: bytes) -> bool:

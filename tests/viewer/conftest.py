@@ -73,14 +73,15 @@ def flat(state: State) -> State:
 
 
 @pytest.fixture(autouse=True)
-def nothing_goes_wrong(request: pytest.FixtureRequest) -> Iterator[None]:
-    """After every test with a browser: the page had no error and asked nobody else for anything."""
+def nothing_goes_wrong(request: pytest.FixtureRequest, caplog: pytest.LogCaptureFixture) -> Iterator[None]:
+    """After every test with a browser: neither page nor viewer had an error, and the page asked nobody else for anything."""
     session = request.getfixturevalue("session") if "session" in request.fixturenames else None
     yield
     if session is not None:
         app, v = session
         settle(app, v)
         assert v.log.errors == [] and v.log.external == []
+        assert [r.getMessage() for r in caplog.get_records("call") if r.name == "collinea" and r.levelname == "ERROR"] == []
 
 
 @pytest.fixture

@@ -68,11 +68,14 @@ def solver(session: Session, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callab
     assert all(s.orientation or s.advice for s in app.state.work.solutions.values())
 
 
-def test_the_page_answers_during_a_solve(session: Session, solver: Callable[[Any], None]) -> None:
+def test_the_page_answers_during_a_solve_without_waiting_for_it(
+    session: Session, solver: Callable[[Any], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
     app, v = session
     solver(busy)
     app.emit(SwitchPoint(app.state.control()[0]))
     v.page.get_by_text("Solving ").first.wait_for()
+    monkeypatch.setattr("viewer_app.app.PATIENCE", 1000.0)  # with this, a picture that waited for the solver would never come
     busy_ones, names = app._jobs.processes(), app.state.block.points.names
     for name in names[1:9]:
         app.emit(ChoosePoint(name))

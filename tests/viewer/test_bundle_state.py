@@ -16,11 +16,7 @@ from solvers.io import latest_run, write_project
 from solvers.workflows_bundle import StoppedRun, adjust_project
 from viewer_app.acting import update
 from viewer_app.actions import GoTo, SwitchPoint
-from viewer_app.bundle_figures import camera_figures, field, image_vectors, profile
-from viewer_app.bundle_scene import ellipsoid_factor, judged, offsets, point_colours, scale_end, vector_factor
-from viewer_app.bundle_scene import scene as bundle_scene
-from viewer_app.bundle_state import (
-    Bundle,
+from viewer_app.bundle_actions import (
     BundleCame,
     BundleFailed,
     FollowBundle,
@@ -31,15 +27,12 @@ from viewer_app.bundle_state import (
     RunBundle,
     SetBundle,
     StopBundle,
-    bundle_choices,
-    bundle_of_choices,
-    exterior,
-    image_number,
-    misfit,
-    place,
-    point_rms,
-    ray_counts,
 )
+from viewer_app.bundle_figures import camera_figures, field, image_vectors, profile
+from viewer_app.bundle_rows import exterior, image_number, misfit, place, point_rms, ray_counts
+from viewer_app.bundle_scene import ellipsoid_factor, judged, offsets, point_colours, scale_end, vector_factor
+from viewer_app.bundle_scene import scene as bundle_scene
+from viewer_app.bundle_state import Bundle, bundle_choices, bundle_of_choices
 from viewer_app.bundle_tasks import tasks
 from viewer_app.panels.bundle import together
 from viewer_app.panels.bundle_tables import two_runs

@@ -239,12 +239,17 @@ def test_a_map_is_compared_and_its_shift_found(both: State, folder: Path) -> Non
     found = scene(state)
     assert "/mosaic/layer/offsets" in found and isinstance(found["/mosaic/layer/picture"], Picture)
     assert "no such file" in room(work(update(state, OpenLayer("none.tif")))).message
-    for outside in ("../map.tif", "/etc/passwd", "maps/../../map.tif"):
+    for outside in ("../map.tif", "/etc/passwd", "maps/../../map.tif", "a\0b.tif", "x" * 1999):
         assert "within the project's folder only" in room(work(update(state, OpenLayer(outside)))).message
     assert state.assets.folder is not None
     (state.assets.folder / "words.tif").write_text("no picture")
     assert "is no TIFF" in room(work(update(state, OpenLayer("words.tif")))).message
-    assert "within the project" in room(work(update(state, WriteMosaic("../x.tif")))).message
+    for outside in ("../x.tif", "a\0b.tif"):
+        assert "within the project" in room(work(update(state, WriteMosaic(outside)))).message
+    [photo, *_] = (folder / "images").glob("*.jpg")
+    before = photo.read_bytes()
+    said = room(work(update(state, WriteMosaic(f"images/{photo.name}")))).message
+    assert "the mosaic is made from this file" in said and photo.read_bytes() == before
     assert room(update(state, OpenLayer(""))).layer is None
     nothing = np.zeros((200, 200, 4), np.uint8)
     blank = offsets(Layer("x"), nothing, nothing, Grid((200, 200), (1, 0, 0, 0, -1, 0)))

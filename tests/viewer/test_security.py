@@ -17,6 +17,7 @@ import websockets
 from websockets.asyncio.client import connect
 
 from tests.viewer.conftest import make_state
+from viewer_app.actions import Say
 from viewer_app.app import App
 from viewer_app.bridge import MAX_UPLOAD, controls
 from viewer_app.panels.project import project_html
@@ -137,15 +138,16 @@ def test_a_tunnel_cannot_be_asked_for(app: App, monkeypatch: pytest.MonkeyPatch)
     assert app.server.request_share_url() is None
 
 
-def upload(handle: Any, size: int, parts: int, name: str = "../../x.sh") -> list[dict[str, Any] | bytes]:
+def upload(handle: Any, size: int, parts: int, name: str = "../../x.sh", number: str = "t") -> list[dict[str, Any] | bytes]:
     start = {
         "type": "FileTransferStartUpload",
         "source_component_uuid": handle._impl.uuid,
-        "transfer_uuid": "t",
+        "transfer_uuid": number,
         "filename": name,
     }
     start |= {"mime_type": "x", "part_count": parts, "size_bytes": size}
-    each = {"type": "FileTransferPart", "source_component_uuid": handle._impl.uuid, "transfer_uuid": "t", "content": b"0" * 1000}
+    each = {"type": "FileTransferPart", "source_component_uuid": handle._impl.uuid, "transfer_uuid": number,
+            "content": b"0" * 1000}
     return [start, *({**each, "part_index": i} for i in range(parts))]
 
 
@@ -159,7 +161,27 @@ def test_uploads_are_capped_and_go_nowhere_else(app: App) -> None:
     assert not gui._current_file_upload_states and not button.value.content
     speak(app, upload(button, 3000, 3))
     assert len(button.value.content) == 3000
+    for k in range(9):  # browsers that leave in the middle of it
+        speak(app, upload(button, 2000, 2, number=f"left {k}")[:-1])
+    speak(app, upload(button, 1000, 1))
+    assert len(button.value.content) == 1000
     button.remove()
+
+
+def test_a_panel_that_fails_is_said_and_the_viewer_lives_on(app: App, monkeypatch: pytest.MonkeyPatch) -> None:
+    panel = app._panels[0]
+
+    def fail(state: State) -> None:
+        raise ZeroDivisionError("of a panel")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(panel, "draw", fail)
+        app.emit(Say(""))
+        app._actions.join()
+    assert app.state.message == f"The {type(panel).__name__} failed (ZeroDivisionError: of a panel); Undo may help"
+    app.emit(Say(""))
+    app._actions.join()
+    assert app._loop.is_alive() and app.state.message == ""
 
 
 def mutated(rng: np.random.Generator, message: dict[str, Any]) -> dict[str, Any] | bytes:

@@ -30,7 +30,8 @@ from viewer_app.actions import (
     Undo,
 )
 from viewer_app.actions_points import EditPoint, SwitchRole
-from viewer_app.bundle_state import Bundle, FreeParameter, RunBundle, SetBundle
+from viewer_app.bundle_actions import FreeParameter, RunBundle, SetBundle
+from viewer_app.bundle_state import Bundle
 from viewer_app.bundle_tasks import tasks as bundle_tasks
 from viewer_app.figures import ELEMENTS, ChooseFigure, Figure
 from viewer_app.keeping import NAME, Keeper, resume

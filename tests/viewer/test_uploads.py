@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from solvers import BadProject
-from viewer_app.uploads import base_name, keep_map
+from viewer_app.uploads import base_name, inside, keep_map
 
 TIFF = b"II*\x00" + bytes(20)
 
@@ -46,3 +46,13 @@ def test_anything_else_is_a_sentence(tmp_path: Path, name: str, content: bytes) 
     with pytest.raises(BadProject, match="is no TIFF; hand over"):
         keep_map(tmp_path, name, content)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_name_means_a_file_inside_the_project_or_nothing(tmp_path: Path) -> None:
+    folder = tmp_path / "project"
+    folder.mkdir()
+    (folder / "out").symlink_to(tmp_path)
+    (folder / "here").symlink_to(folder)
+    assert inside(folder, "mosaic.tif") == inside(folder, "here/x/../mosaic.tif") == folder.resolve() / "mosaic.tif"
+    for said in ("../x.tif", "/etc/passwd", "a/../../x.tif", "out/x.tif", "..", "a\0b.tif", "\ud800.tif", "x" * 1999, "\0"):
+        assert inside(folder, said) is None, said

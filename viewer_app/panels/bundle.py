@@ -9,29 +9,13 @@ import numpy as np
 
 from solvers.cameras import PARAMETERS
 
+from ..bundle_actions import FollowBundle, FreeParameter, HoldBundle, KeepBundle, OfEveryImage, RunBundle, SetBundle, StopBundle
 from ..bundle_figures import camera_figures, camera_of, image_vectors
+from ..bundle_rows import image_number
 from ..bundle_scene import alone, click, judged, scene
-from ..bundle_state import (
-    COLOURED,
-    DATUMS,
-    FACTORS,
-    ROBUST,
-    SHUTTERS,
-    STARTS,
-    TRANSFORMS,
-    Bundle,
-    FollowBundle,
-    FreeParameter,
-    HoldBundle,
-    Judged,
-    KeepBundle,
-    OfEveryImage,
-    RunBundle,
-    SetBundle,
-    StopBundle,
-    image_number,
-)
+from ..bundle_state import COLOURED, DATUMS, FACTORS, ROBUST, SHUTTERS, STARTS, TRANSFORMS, Bundle
 from ..bundle_tasks import tasks
+from ..bundle_values import Judged
 from ..state import MODELS, State
 from ..tabs import Command, Desk, Tab
 from .bundle_plots import correlation_svg, profile_svg, vectors_svg

@@ -8,8 +8,10 @@ from solvers.cameras import PARAMETERS
 
 from .. import theme
 from ..bridge import Wire
+from ..bundle_rows import last_misfit, misfit, point_rms
 from ..bundle_scene import judged, scale_end
-from ..bundle_state import COLOURED, Bundle, Held, Judged, Layout, last_misfit, misfit, point_rms
+from ..bundle_state import COLOURED, Bundle, Held
+from ..bundle_values import Judged, Layout
 from ..kept import by_identity
 from ..matching_scene import RAYS, SCALE
 from ..state import State
