@@ -30,17 +30,21 @@ class Guess(NamedTuple):
 
 
 class View(NamedTuple):
-    """An oriented photo: its exterior orientation in the local frame."""
+    """An oriented photo: its exterior orientation in the local frame, and the standard errors of a place [m] and of an angle
+    [rad] of it, where it is as given and not adjusted."""
 
     name: str
     interior: Interior
     exterior: Exterior
+    sigma_m: float = 0.0
+    sigma_rad: float = 0.0
 
 
 def by_orientation(first: View, second: View, at: np.ndarray, ground: Plane | Surface, frame: LocalFrame) -> Guess | None:
     """The place of a pixel (2,) seen on the ground by one photo in another; None where the other does not see it.
 
-    The reach is what the ground's standard error moves the place by, twice, and a few pixels.
+    The reach is what the standard errors of the ground and of the orientations as given move the place by, twice, and a few
+    pixels.
     """
     corners = at + STEP * np.array([[0, 0], [1, 0], [0, 1]])
     try:
@@ -80,7 +84,10 @@ def _seen(first: View, second: View, at: np.ndarray, local: np.ndarray, doubt: n
     shape = (there[1:3] - there[0]).T @ np.linalg.inv((own[1:] - at).T)
     if not 0.04 < abs(np.linalg.det(shape)) < 25:
         return None
-    return Guess(there[0], shape, 4.0 + 2.0 * float(np.linalg.norm(there[3] - there[0])), how)
+    # A standard error of the first photo shows as it would in the second, near enough.
+    off = [view.interior.c / view.interior.pitch.mean() * np.hypot(
+        view.sigma_rad, view.sigma_m / np.linalg.norm(local[0] - view.exterior.centre)) for view in (first, second)]
+    return Guess(there[0], shape, 4.0 + 2.0 * float(np.linalg.norm([*(there[3] - there[0]), *off])), how)
 
 
 def by_ties(first: np.ndarray, second: np.ndarray, at: np.ndarray) -> Guess | None:

@@ -57,15 +57,20 @@ class Setting:
 
 
 def match_work(ask: Ask, setting: Setting) -> Iterator[Found]:
-    """The match asked for: from one prediction after the other until one leads to it."""
+    """The match asked for: from one prediction after the other until one leads to it; else the most promising refusal."""
     refused: Found | None = None
     for guess in guesses(ask, setting):
         found = _match(ask, setting, guess)
         if found.ok:
             yield found
             return
-        refused = refused or found
+        refused = found if refused is None or _promise(found) > _promise(refused) else refused
     yield refused or Found(ask, error=f"nothing tells where {ask.second} shows it: click about there in the right photo")
+
+
+def _promise(found: Found) -> float:
+    """Of a match that was refused: the correlation that it came to, which tells which prediction was nearest."""
+    return -2.0 if found.stepped is None else float(np.nan_to_num(found.stepped.lsm.score[0], nan=-1.0))
 
 
 def guesses(ask: Ask, setting: Setting) -> Iterator[Guess]:

@@ -26,24 +26,34 @@ def position(state: State, name: str) -> np.ndarray | None:
     return None if given is None or given.centre is None else state.assets.frame.to_local(given.centre)
 
 
-def exterior_of(state: State, image: str) -> Exterior | None:
-    """The exterior orientation of an image in the local frame, None where nothing tells it. A simulation's truth is not asked."""
+def adjusted(state: State, image: str) -> Exterior | None:
+    """The exterior orientation of an image in the local frame as solved, alone or in the bundle of the tie points."""
     solution = state.solution(MODELS[0], image)
     if solution is not None and solution.orientation is not None:
         return Exterior.from_vector(solution.rows[-1].x)
     network = state.room(Matching).network
-    if network is not None and image in network.exteriors:
-        return network.exteriors[image]
-    return prior(state, image)
+    return None if network is None else network.exteriors.get(image)
+
+
+def exterior_of(state: State, image: str) -> Exterior | None:
+    """The exterior orientation of an image in the local frame, None where nothing tells it. A simulation's truth is not asked."""
+    found = adjusted(state, image)
+    return prior(state, image) if found is None else found
 
 
 def view_of(state: State, image: str) -> View | None:
-    """The image with both its orientations."""
+    """The image with both its orientations, and how well the exterior one is known where it is the project's approximate one."""
     exterior, solution = exterior_of(state, image), state.solution(MODELS[0], image)
     interior = state.block.camera_of(image)
     if solution is not None and solution.orientation is not None and solution.orientation.interior is not None:
         interior = solution.orientation.interior
-    return None if exterior is None else View(image, interior, exterior)
+    if exterior is None:
+        return None
+    given = state.block.images[state.block.image_index(image)].prior
+    if adjusted(state, image) is not None or given is None:
+        return View(image, interior, exterior)
+    sigmas = [0.0 if s is None else float(np.max(s)) for s in (given.sigma_m, given.sigma_rad)]
+    return View(image, interior, exterior, *sigmas)
 
 
 def sees(state: State, image: str, point: str) -> tuple[float, float] | None:

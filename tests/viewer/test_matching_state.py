@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from solvers.workflows_conjugate import by_ties
+from solvers.orientation import Plane
+from solvers.workflows_conjugate import by_orientation, by_ties
 from tests.viewer.conftest import make_state
 from tests.viewer.photo_project import conjugate, make_project
 from tests.viewer.test_actions import solve_all
@@ -40,7 +41,7 @@ from viewer_app.matching_tasks import tasks
 from viewer_app.matching_work import adjust_work, features_of, ties_work
 from viewer_app.memo import remembered
 from viewer_app.pyramid import Pyramid
-from viewer_app.sighting import where
+from viewer_app.sighting import view_of, where
 from viewer_app.state import State
 
 DEMO = Path(__file__).resolve().parents[2] / "assets" / "demo"
@@ -163,6 +164,19 @@ def test_a_new_point_is_predicted_by_orientation_and_terrain(demo: State) -> Non
     found = room(done(update(state, Click("left", 3000.0, 1750.0)))).current
     assert found is not None and found.ok and found.guess is not None and found.guess.how == "orientation"
     assert found.pixel is not None and np.linalg.norm(found.pixel - found.guess.place) < 4
+
+
+def test_orientations_as_given_are_believed_as_far_as_they_say(demo: State) -> None:
+    """1.5 degrees and 2 m of the demo's priors are 290 px; once solved, a place is predicted to a few pixels."""
+    bare, at = replace(demo, work=replace(demo.work, solutions={})), np.array([3000.0, 1750.0])
+    ground = Plane(float(demo.block.points.xyz[:, 2].mean()))
+    found = []
+    for state in (demo, bare):
+        first, second = (view_of(state, name) for name in ("DSC00229", "DSC00230"))
+        assert first is not None and second is not None
+        found.append(by_orientation(first, second, at, ground, demo.assets.frame))
+    solved, given = found
+    assert solved is not None and solved.reach == 4 and given is not None and 500 < given.reach < 900
 
 
 def test_what_a_browser_may_send() -> None:
