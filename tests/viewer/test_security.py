@@ -6,7 +6,10 @@ import asyncio
 import itertools
 import math
 import threading
+import time
 from collections.abc import Sequence
+from dataclasses import replace
+from html.parser import HTMLParser
 from typing import Any
 
 import msgspec
@@ -17,11 +20,13 @@ import websockets
 from websockets.asyncio.client import connect
 
 from tests.viewer.conftest import make_state
+from viewer_app.acting import update as update_state
 from viewer_app.actions import Say
 from viewer_app.app import App
 from viewer_app.bridge import MAX_UPLOAD, controls
-from viewer_app.panels.project import project_html
-from viewer_app.panels.tables import point_table
+from viewer_app.bundle_actions import RunBundle
+from viewer_app.bundle_state import Bundle
+from viewer_app.bundle_tasks import tasks as bundle_tasks
 from viewer_app.state import State
 
 COUNT = itertools.count()
@@ -258,30 +263,51 @@ def test_ten_thousand_mutated_messages_leave_the_server_alive_and_the_state_vali
     assert app.state.image == "right"
 
 
+EVIL = """<img src=x onerror="alert(1)">' onmouseover='alert(2)"""
+
+
 def hostile() -> State:
-    """A project whose names are HTML."""
-    from dataclasses import replace
-
+    """A project whose names and messages are HTML."""
     state = make_state()
-    evil = '<img src=x onerror="alert(1)">'
-    points = replace(state.block.points, names=(evil, *state.block.points.names[1:]), group=(evil, *state.block.points.group[1:]))
-    block = replace(
-        state.block, name=evil, points=points, images=(replace(state.block.images[0], name=evil), state.block.images[1])
-    )
-    return replace(state, work=replace(state.work, block=block), image=evil, point=evil, message=evil)
+    points = state.block.points
+    points = replace(points, names=tuple(EVIL + n for n in points.names), group=tuple(EVIL + g for g in points.group))
+    images = tuple(replace(image, name=EVIL + image.name) for image in state.block.images)
+    block = replace(state.block, name=EVIL, points=points, images=images)
+    return replace(state, work=replace(state.work, block=block), image=images[0].name, point=points.names[0], message=EVIL)
 
 
-def test_names_of_a_project_are_text_wherever_they_are_shown() -> None:
-    from viewer_app.panels.compare import advice_html, solutions_table
-    from viewer_app.panels.lists import table_html
-    from viewer_app.panels.photo import photo_html
-    from viewer_app.panels.tables import orientation_table, point_in_images, words
+class Tags(HTMLParser):
+    """What HTML holds: how often the text is shown as text, and elements and attributes that came out of it."""
 
-    state = hostile()
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.shown, self.alive = 0, []
+        self.feed(page)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.alive += [tag for name, value in attrs if name in ("onerror", "onmouseover") or (name, value) == ("src", "x")]
+        self.shown += any(EVIL in value for _, value in attrs if value)
+
+    def handle_data(self, data: str) -> None:
+        self.shown += EVIL in data
+
+
+def pages(gui: Any) -> list[str]:
+    """The HTML of every panel."""
+    every = [child for box in gui._container_handle_from_uuid.values() for child in box._children.values()]
+    return [child.content for child in every if isinstance(child, viser.GuiHtmlHandle)]
+
+
+def test_names_of_a_project_are_text_in_every_panel() -> None:
+    state = update_state(hostile(), RunBundle())
+    (task,) = bundle_tasks(state)
+    for value in task.call(*task.arguments):
+        state = update_state(state, task.arrive(value))
+    assert state.room(Bundle).result is not None
     with App(state) as made:
-        wire = made._wire
-        texts = [project_html(state, wire), point_table(state, wire), words(state), photo_html(state, wire)]
-        texts += [orientation_table(state), advice_html(state), solutions_table(state)]
-        texts += [point_in_images(state, wire)]
-        texts += [table_html(state, name, wire) for name in ("points", "images", "orientations")]
-    assert sum("&lt;img" in t for t in texts) >= 5 and not [t for t in texts if "<img src=x" in t]
+        while not made.settled():
+            time.sleep(0.01)
+        found = [Tags(page) for page in pages(made.server.gui)]
+    assert [tag for page in found for tag in page.alive] == []
+    assert sum(page.shown > 0 for page in found) > 8
