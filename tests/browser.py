@@ -234,12 +234,14 @@ class ViserPage:
     def dismiss_notifications(self) -> None:
         """Close what lies over the canvas, such as the offer of a file."""
         close = self.page.locator("[role=alert] button")
-        for _ in range(10):
-            if close.count() == 0:
-                return
-            with contextlib.suppress(Exception):  # it may leave by itself
-                close.first.click(timeout=1000)
-            self.page.wait_for_timeout(350)  # it fades
+
+        def none_left() -> bool:
+            if close.count():
+                with contextlib.suppress(Exception):  # it may leave by itself, and it fades
+                    close.first.click(timeout=1000)
+            return not close.count()
+
+        self.wait_until(none_left, "the notifications to leave")
 
     def screenshot(self, path: str | Path | None = None) -> Image.Image:
         return Image.open(io.BytesIO(self.page.screenshot(path=path))).convert("RGB")

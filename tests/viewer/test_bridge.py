@@ -57,7 +57,7 @@ def socket(port: int, origin: str | None, cookie: str = "") -> int:
                 additional_headers={"Cookie": cookie} if cookie else {},
                 max_size=None,
             ) as ws:
-                await asyncio.wait_for(ws.recv(), 10)
+                await asyncio.wait_for(ws.recv(), 60)
                 return 101
         except websockets.exceptions.InvalidStatus as error:
             return error.response.status_code

@@ -56,7 +56,7 @@ def speak(app: App, messages: Sequence[dict[str, Any] | bytes]) -> None:
                 protocol = websockets.Subprotocol("viser-v" + viser.__version__)
                 address = f"ws://127.0.0.1:{app.port}/"
                 async with connect(address, subprotocols=[protocol], max_size=None, close_timeout=0.2) as ws:
-                    await asyncio.wait_for(ws.recv(), 10)
+                    await asyncio.wait_for(ws.recv(), 60)
                     await ws.send(msgspec.msgpack.encode(CAMERA))
                     while todo:
                         for message in todo[:100]:
