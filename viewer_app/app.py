@@ -11,6 +11,7 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 import viser
@@ -57,7 +58,7 @@ class App:
         self.latencies: list[float] = []
         self.server = open_server(host, port, token)
         self.port = self.server.get_port()
-        self.url = f"http://{host}:{self.port}/" + (f"?token={token}" if token else "")
+        self.url = f"http://{host}:{self.port}/" + (f"?token={quote(token, safe='')}" if token else "")
         self._jobs = Jobs(self.emit)
         self._painter = Painter(self.server)
         self._panels: list[Panel] = []

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from http import HTTPStatus
 from typing import Any
+from urllib.parse import quote, unquote_to_bytes
 
 import viser
 
@@ -98,7 +99,7 @@ def _guarded(token: str | None, hosts: frozenset[str] | None) -> Iterator[None]:
             answer = inner(connection, request)
             if answer is not None:
                 if token is not None:
-                    answer.headers["Set-Cookie"] = f"collinea={token}; HttpOnly; SameSite=Strict; Path=/"
+                    answer.headers["Set-Cookie"] = f"collinea={quote(token, safe='')}; HttpOnly; SameSite=Strict; Path=/"
                 answer.headers["X-Content-Type-Options"] = "nosniff"
                 answer.headers["Referrer-Policy"] = "no-referrer"
                 answer.headers["X-Frame-Options"] = "SAMEORIGIN"
@@ -122,11 +123,11 @@ def refuse(headers: dict[str, str], path: str, token: str | None, hosts: frozens
     if "origin" in said and said["origin"] not in (f"http://{netloc}", f"https://{netloc}"):
         return HTTPStatus.FORBIDDEN, "wrong origin"
     if token is not None:
-        shown = [
-            c.strip().removeprefix("collinea=") for c in said.get("cookie", "").split(";") if c.strip().startswith("collinea=")
-        ]
+        cookies = [c.strip() for c in said.get("cookie", "").split(";")]
+        shown = [c.removeprefix("collinea=") for c in cookies if c.startswith("collinea=")]
         shown += [q.removeprefix("token=") for q in path.partition("?")[2].split("&") if q.startswith("token=")]
-        if not any(secrets.compare_digest(c.encode("utf-8", "surrogateescape"), token.encode()) for c in shown):
+        known = token.encode()
+        if not any(secrets.compare_digest(unquote_to_bytes(s.encode("utf-8", "surrogateescape")), known) for s in shown):
             return HTTPStatus.FORBIDDEN, "open the address printed in the terminal"
     return None
 

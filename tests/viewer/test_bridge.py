@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import socket as socketlib
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
@@ -16,7 +17,9 @@ import websockets
 from websockets.asyncio.client import connect
 
 from solvers import Unsupported
+from solvers.cli import main
 from tests.viewer.conftest import make_state
+from tests.viewer.sessions import DEMO
 from viewer_app.app import App
 from viewer_app.bridge import LOCAL_HOSTS, Server, known_version, open_server, parse, refuse
 
@@ -87,14 +90,48 @@ def test_a_token_is_asked_for_once_and_kept_as_a_cookie(server: viser.ViserServe
     assert socket(port, "https://evil.example", "collinea=secret") == 403
 
 
+def test_a_token_may_hold_any_letter() -> None:
+    with App(make_state(), token="a b&c;é\r\n=%") as app:
+        assert get(app.port, "/?" + app.url.partition("?")[2]) == 200 and get(app.port, "/?token=a") == 403
+        with urllib.request.urlopen(app.url) as answer:
+            cookie = answer.headers["Set-Cookie"].partition(";")[0]
+        assert get(app.port, Cookie=cookie) == 200 and get(app.port, Cookie=cookie + "x") == 403
+
+
+def test_nobody_but_this_machine_is_answered(plain: viser.ViserServer) -> None:
+    with socketlib.create_connection(("127.0.0.1", plain.get_port()), 60):
+        pass
+    with pytest.raises(OSError):  # another address of this machine stands for all others
+        socketlib.create_connection(("127.0.0.2", plain.get_port()), 5)
+
+
+HOSTS = ("127.0.0.1.evil.example", "127.0.0.1@evil.example", "evil.example#127.0.0.1", "localhost.", "127.1", "0.0.0.0", ":")
+
+
+@pytest.mark.parametrize("host", HOSTS)
+def test_a_host_that_looks_like_this_machine_is_refused(plain: viser.ViserServer, host: str) -> None:
+    port = plain.get_port()
+    assert get(port, Host=f"{host}:{port}") == get(port, Host=host) == 421
+
+
+@pytest.mark.parametrize("origin", ["http://127.0.0.1:1", "http://127.0.0.1", "http://localhost:{}", "https://127.0.0.1:{}@evil.example",
+                                    "http://127.0.0.1:{}.evil.example", "file://", ""])
+def test_an_origin_that_looks_like_this_page_is_refused(plain: viser.ViserServer, origin: str) -> None:
+    port = plain.get_port()
+    assert socket(port, origin.format(port)) == get(port, Origin=origin.format(port)) == 403
+
+
 def test_requests_without_a_host_are_refused() -> None:
     assert refuse({}, "/", None, LOCAL_HOSTS) == (HTTPStatus.MISDIRECTED_REQUEST, "wrong host")
     assert refuse({"host": "localhost:1"}, "/", None, LOCAL_HOSTS) is None
 
 
-def test_other_machines_are_let_in_with_a_token_only() -> None:
+def test_other_machines_are_let_in_with_a_token_only(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(Unsupported, match="give a token"):
         App(make_state(), host="0.0.0.0")
+    for host in ("0.0.0.0", "::", "192.168.1.7", "0"):
+        assert main(["view", str(DEMO), "--host", host, "--no-browser"]) == 1
+        assert f"host {host} would open the project to other machines; give a token" in capsys.readouterr().err
 
 
 def test_no_tunnel_is_opened_whoever_asks(plain: viser.ViserServer) -> None:
