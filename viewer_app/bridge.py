@@ -339,6 +339,7 @@ def parse(text: str) -> tuple[str, Any] | None:
         return None
     try:
         said = json.loads(text)
+        json.dumps(said, ensure_ascii=False).encode()  # no half letters, which no file and no page can hold
     except (ValueError, RecursionError):
         return None
     if not (isinstance(said, list) and len(said) == 3 and isinstance(said[0], str)):

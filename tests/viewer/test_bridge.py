@@ -154,6 +154,8 @@ def test_no_tunnel_is_opened_whoever_asks(plain: viser.ViserServer) -> None:
         (json.dumps(["photo", ["a", 1], "1"]), None),
         ('["photo",[NaN,0.5],"1"]', None),
         (json.dumps(["point", "x" * 5000, "1"]), None),
+        (r'["point","\ud800","1"]', None),
+        (r'["point","\ud83d\ude00","1"]', ("point", "\U0001f600")),
         ("[" * 1900, None),
     ],
 )
