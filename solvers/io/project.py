@@ -16,7 +16,7 @@ from ..block import ROLES, Block, Observations, Points
 from ..errors import BadProject, BadTable
 from .description import ORIGINS, describe, read_description, to_toml
 from .files import decode_utf8, read_bytes, write_json, write_text
-from .tables import Row, read_table
+from .tables import Row, numbers, read_columns, read_table
 
 POINT_COLUMNS = ("name", "X", "Y", "Z", "sX", "sY", "sZ", "role")
 OBSERVATION_COLUMNS = ("image", "point", "col", "row", "sigma")
@@ -32,11 +32,10 @@ def read_project(folder: Path | str) -> Block:
         what = "this is a file, not a project folder" if folder.exists() else "there is no such folder"
         raise BadProject(f"{folder}: {what}; give the folder that holds project.toml")
     block, origin = read_description(folder / "project.toml")
-    points, lines = _read_points(folder / "points.csv")
-    block = replace(block, points=points)
+    block = replace(block, points=_read_points(folder / "points.csv"))
     if not (folder / "observations.csv").exists() and not block.images:
         return block
-    return replace(block, observations=_read_observations(folder / "observations.csv", block, origin, lines))
+    return replace(block, observations=_read_observations(folder / "observations.csv", block, origin))
 
 
 def write_project(block: Block, folder: Path | str, *, truth: Mapping[str, Any] | None = None,
@@ -90,8 +89,10 @@ def read_truth(folder: Path | str) -> dict[str, Any] | None:
     return truth
 
 
-def _read_points(path: Path) -> tuple[Points, dict[str, int]]:
-    """Points in file order and the line of each name."""
+def _read_points(path: Path) -> Points:
+    """Points in file order."""
+    if (plain := _plain_points(path)) is not None:
+        return plain
     rows = read_table(path, (*POINT_COLUMNS[:4], "role"), POINT_COLUMNS[4:7])
     lines: dict[str, int] = {}
     for row in rows:
@@ -107,7 +108,22 @@ def _read_points(path: Path) -> tuple[Points, dict[str, int]]:
             raise row.error(f"{role} point '{row.text('name')}' has no {axis}; fill it in, or give the point the role tie")
     sigma = np.array([[row.number(k, "a standard error in metres", lowest=0) for k in ("sX", "sY", "sZ")] for row in rows])
     group = tuple(row.cells.get("group", "") for row in rows)
-    return Points(tuple(lines), xyz, sigma.reshape(-1, 3), roles, group if any(group) else ()), lines
+    return Points(tuple(lines), xyz, sigma.reshape(-1, 3), roles, group if any(group) else ())
+
+
+def _plain_points(path: Path) -> Points | None:
+    """The points of a table in which nothing is wrong or unusual, all at once; None of any other."""
+    cells = read_columns(path, (*POINT_COLUMNS[:4], "role"), (*POINT_COLUMNS[4:7], "group"))
+    if cells is None or not all(cells["name"]) or not set(cells["role"]) <= set(ROLES):
+        return None
+    columns = [numbers(cells[k]) for k in POINT_COLUMNS[1:7]]
+    if any(c is None for c in columns):
+        return None
+    values, roles, group = np.stack(columns, axis=1), tuple(cells["role"]), tuple(cells["group"])  # type: ignore[arg-type]
+    bare = ~np.isfinite(values[:, :3]).all(axis=1) & (np.array(roles, str) != "tie")
+    if bare.any() or (values[:, 3:] < 0).any() or len(set(cells["name"])) < len(roles):
+        return None
+    return Points(tuple(cells["name"]), values[:, :3].copy(), values[:, 3:].copy(), roles, group if any(group) else ())
 
 
 def _role(row: Row) -> str:
@@ -117,7 +133,9 @@ def _role(row: Row) -> str:
     return role
 
 
-def _read_observations(path: Path, block: Block, origin: str, lines: Mapping[str, int]) -> Observations:
+def _read_observations(path: Path, block: Block, origin: str) -> Observations:
+    if (plain := _plain_observations(path, block, origin)) is not None:
+        return plain
     rows = read_table(path, OBSERVATION_COLUMNS[:4], OBSERVATION_COLUMNS[4:])
     images = {image.name: i for i, image in enumerate(block.images)}
     points = {name: i for i, name in enumerate(block.points.names)}
@@ -141,6 +159,26 @@ def _read_observations(path: Path, block: Block, origin: str, lines: Mapping[str
                             f"[cameras.{block.images[i].camera}] in project.toml")
     index = np.array(list(seen), int).reshape(-1, 2)
     return Observations(index[:, 0].copy(), index[:, 1].copy(), pixel, sigma)
+
+
+def _plain_observations(path: Path, block: Block, origin: str) -> Observations | None:
+    """The observations of a table in which nothing is wrong or unusual, all at once; None of any other."""
+    cells = read_columns(path, OBSERVATION_COLUMNS[:4], OBSERVATION_COLUMNS[4:])
+    if cells is None:
+        return None
+    col, row, sigma = (numbers(cells[k]) for k in OBSERVATION_COLUMNS[2:])
+    if col is None or row is None or sigma is None:
+        return None
+    images, points = ({name: k for k, name in enumerate(names)} for names in ((i.name for i in block.images), block.points.names))
+    image = np.array([images.get(name, -1) for name in cells["image"]], int)
+    point = np.array([points.get(name, -1) for name in cells["point"]], int)
+    pixel = np.column_stack([col, row]) - (0.5 if origin == "corner" else 0.0)
+    if (image < 0).any() or (point < 0).any() or not np.isfinite(pixel).all() or (sigma <= 0).any():
+        return None
+    key = np.sort(image * len(block.points) + point)
+    of = np.array([i.camera for i in block.images], str)[image]
+    inside = all(camera.inside(pixel[of == name]).all() for name, camera in block.cameras.items())
+    return Observations(image, point, pixel, sigma) if inside and (np.diff(key) > 0).all() else None
 
 
 def _known(row: Row, column: str, index: Mapping[str, int], cure: str) -> int:

@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from ..errors import BadTable
 from .files import decode_utf8, read_bytes
 
@@ -87,6 +89,39 @@ def read_table(path: Path, required: Sequence[str], optional: Sequence[str] = ()
         where = f"{path} line {reader.line_num}"
         raise BadTable(f"{where}: this is not a comma-separated line ({error}); correct its quotes") from None
     return rows
+
+
+def read_columns(path: Path, required: Sequence[str], optional: Sequence[str] = ()) -> dict[str, list[str]] | None:
+    """The cells of a plain table, column by column, optional columns that are absent empty: many times faster than rows.
+
+    None where anything is out of the ordinary: `read_table` then says what, or reads it all the same.
+    """
+    try:
+        text = read_bytes(path, "").decode("utf-8-sig").replace("\r\n", "\n")
+    except (BadTable, UnicodeDecodeError):
+        return None
+    text = text if text.endswith("\n") else text + "\n"
+    header = [c.strip() for c in text[:text.index("\n")].split(",")]
+    if any(odd in text for odd in '"\0\r') or len(set(header)) != len(header) or not set(required) <= set(header):
+        return None
+    data = np.frombuffer(text.encode(), np.uint8)
+    commas = np.diff(np.searchsorted(np.flatnonzero(data == ord(",")), np.flatnonzero(data == ord("\n"))), prepend=0)
+    if len(header) < 2 or (commas != len(header) - 1).any():
+        return None
+    cells = text[:-1].replace("\n", ",").split(",")[len(header):]
+    out = {name: list(map(str.strip, cells[k::len(header)])) for k, name in enumerate(header)}
+    return {**{name: [""] * (len(commas) - 1) for name in optional}, **out}
+
+
+def numbers(cells: Sequence[str]) -> np.ndarray | None:
+    """Cells as finite numbers (n,), NaN where empty; None where one of them is none."""
+    if not set("".join(cells)) <= set("0123456789+-.eE"):
+        return None
+    try:
+        out = np.array([float(c) if c else np.nan for c in cells])
+    except ValueError:
+        return None
+    return None if np.isinf(out).any() else out
 
 
 def _header(path: Path, line: int, cells: list[str], required: Sequence[str], header_line: str) -> list[str]:
