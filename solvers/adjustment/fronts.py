@@ -239,6 +239,7 @@ def alone() -> Any:
 
 @cache
 def _blas() -> Any:
+    import scipy.linalg  # noqa: F401  (brings a library of its own, which is to be found)
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()

@@ -212,7 +212,7 @@ def direct_linear(points: np.ndarray, xy: np.ndarray, c: float) -> list[Exterior
     x = np.concatenate([(points - mean) * scale, np.ones((len(points), 1))], axis=1)
     uv, zero = xy / c, np.zeros_like(x)
     rows = np.vstack([np.hstack([x, zero, uv[:, :1] * x]), np.hstack([zero, x, uv[:, 1:] * x])])
-    p = np.linalg.svd(rows)[2][-1].reshape(3, 4)  # (u, v, -1) ~ P X
+    p = np.linalg.svd(rows, full_matrices=len(rows) < 12)[2][-1].reshape(3, 4)  # (u, v, -1) ~ P X
     p = p * np.sign(np.linalg.det(p[:, :3]) or 1.0)
     size = np.cbrt(max(np.linalg.det(p[:, :3]), 1e-300))
     try:
@@ -225,12 +225,12 @@ def direct_linear(points: np.ndarray, xy: np.ndarray, c: float) -> list[Exterior
 def plane_homography(points: np.ndarray, xy: np.ndarray, c: float) -> list[Exterior]:
     """Orientation of four or more (nearly) coplanar points from the homography of their plane."""
     mean = points.mean(axis=0)
-    _, s, vt = np.linalg.svd(points - mean)
+    _, s, vt = np.linalg.svd(points - mean, full_matrices=False)
     scale = np.sqrt(len(points)) / s[0]
     ab = np.concatenate([(points - mean) @ vt[:2].T * scale, np.ones((len(points), 1))], axis=1)
     uv, zero = xy / c, np.zeros_like(ab)
     rows = np.vstack([np.hstack([ab, zero, uv[:, :1] * ab]), np.hstack([zero, ab, uv[:, 1:] * ab])])
-    h = np.linalg.svd(rows)[2][-1].reshape(3, 3)  # (u, v, -1) ~ H (a, b, 1)
+    h = np.linalg.svd(rows, full_matrices=len(rows) < 9)[2][-1].reshape(3, 3)  # (u, v, -1) ~ H (a, b, 1)
     if h[2, 2] > 0:
         h = -h  # the plane's centre lies in front: W < 0
     length = (np.linalg.norm(h[:, 0]) + np.linalg.norm(h[:, 1])) / 2

@@ -81,6 +81,25 @@ class Given:
         return order[ends[image]:ends[image + 1]]
 
     @cached_property
+    def ideal(self) -> np.ndarray:
+        """(o, 2) mm, ideal photo coordinates of the observations."""
+        out, of = np.empty_like(self.pixels), np.array([i.camera for i in self.block.images], str)[self.image]
+        for name, camera in self.block.cameras.items():
+            rows = np.flatnonzero(of == name)
+            out[rows] = camera.ideal(self.pixels[rows])
+        return out
+
+    @cached_property
+    def principal(self) -> np.ndarray:
+        """(m,) principal distances [mm] of the images."""
+        return np.array([self.block.cameras[i.camera].c for i in self.block.images])
+
+    @cached_property
+    def unit(self) -> np.ndarray:
+        """(o,) standard errors of the observations in the photo [mm]."""
+        return self.sigma * np.array([self.block.cameras[i.camera].pitch[0] for i in self.block.images])[self.image]
+
+    @cached_property
     def _by_image(self) -> tuple[np.ndarray, np.ndarray]:
         """Rows of the observations, image by image, and where each image's begin."""
         order = np.argsort(self.image, kind="stable")

@@ -10,14 +10,15 @@ from itertools import product
 
 import numpy as np
 
-from ...cameras import project
+from ...adjustment.fronts import alone
 from ...errors import DegenerateGeometry
 from ...geometry import Exterior, from_opencv
 from ..initial import Candidate, candidates, three_points
 from ..linear_models import affine, direct_linear_transformation
-from ..rays import Intersection
 from .datum import similarity
 from .given import Given
+from .growing import straightened
+from .meeting import FAR, behind, misses, points, without_wrong_rays
 
 MANY = 60
 """Points used for a resection within the block; more add nothing to a start."""
@@ -29,10 +30,10 @@ BETTER = 0.1
 """Share of the misfit [px^2] of the priors' orientations below which those of the network by itself are begun with."""
 MISFIT, TRIPLES = 8.0, 60
 """Median residual, over the sigma of an observation, from which three points at a time are asked, and how often."""
-MUCH, FAR = 0.4, 5.0
-"""Share of the median residual that is much better; times the new median beyond which a point does not agree."""
-MANY_RAYS = 20
-"""Rays of a point up to which a wrong one is looked for; among more it hardly moves the point."""
+MUCH = 0.4
+"""Share of the median residual that is much better."""
+STEADY, WIDER = 24, 1.5
+"""Images from which a growing block is adjusted on the way, and growth until it is so again."""
 NEAR = 20.0
 """Median residual [px], over the sigma of an observation, beyond which a start from tie points is not believed."""
 
@@ -42,6 +43,11 @@ def start(data: Given) -> tuple[dict[int, Exterior], np.ndarray, list[str]]:
 
     Raises DegenerateGeometry when nothing can begin.
     """
+    with alone():  # thousands of small matrices, for which no thread need be woken
+        return _start(data)
+
+
+def _start(data: Given) -> tuple[dict[int, Exterior], np.ndarray, list[str]]:
     how, known, said = data.request.start, data.approximate, []
     images = [int(i) for i in np.unique(data.image)]
     poses: dict[int, Exterior] = {}
@@ -74,10 +80,10 @@ def start(data: Given) -> tuple[dict[int, Exterior], np.ndarray, list[str]]:
                                  "there is no prior, and no pair of images shares enough tie points")
     xyz = known.copy() if how == "given" else points(data, poses)
     if how != "given":
-        _without_wrong_rays(data, poses, xyz)
+        without_wrong_rays(data, poses, xyz)
     missing = ~np.isfinite(xyz).all(axis=1)
     xyz[missing] = points(data, poses)[missing] if how == "given" else known[missing]
-    _behind(data, poses, xyz)
+    behind(data, poses, xyz)
     return poses, xyz, said
 
 
@@ -88,60 +94,6 @@ def network_alone(data: Given) -> np.ndarray:
         raise DegenerateGeometry(f"{data.block.name}: no pair of images shares enough tie points")
     _grow(data, poses, [int(i) for i in np.unique(data.image)], np.full_like(data.approximate, np.nan))
     return points(data, poses)
-
-
-def points(data: Given, poses: dict[int, Exterior], wanted: np.ndarray | None = None) -> np.ndarray:
-    """(n, 3) points nearest to the rays of all oriented images, NaN where fewer than two see them or the rays are parallel, and
-    for those that are not wanted (n,)."""
-    out = np.full((len(data.block.points), 3), np.nan)
-    order = sorted(poses)
-    ok = np.isin(data.image, order)
-    if wanted is not None:
-        ok &= wanted[data.point]
-    ok &= np.bincount(data.point[ok], minlength=len(out))[data.point] >= 2
-    if not ok.any():
-        return out
-    names, point = np.unique(data.point[ok], return_inverse=True)
-    number = {i: k for k, i in enumerate(order)}
-    problem = Intersection(tuple((data.camera(i), poses[i]) for i in order), np.array([number[int(i)] for i in data.image[ok]]),
-                           point,
-                           data.pixels[ok], data.sigma[ok], np.broadcast_to(np.eye(2), (int(ok.sum()), 2, 2)), len(names))
-    out[names] = problem.start().reshape(-1, 3)
-    return out
-
-
-def _without_wrong_rays(data: Given, poses: dict[int, Exterior], xyz: np.ndarray) -> None:
-    """Points (n, 3) that one ray keeps from where all their others meet go there; the ray stays an observation."""
-    off = np.zeros(len(data.image))
-    for i, e in poses.items():
-        rows = data.seen_in(i)
-        ideal = data.camera(i).ideal(data.pixels[rows])
-        off[rows] = _off(e, xyz[data.point[rows]], ideal, data.camera(i).c) / data.camera(i).pitch[0] / data.sigma[rows]
-    seen = np.isin(data.image, list(poses)) & np.isfinite(xyz[data.point]).all(axis=1)
-    typical = max(1.0, float(np.median(off[seen]))) if seen.any() else 1.0
-    order = np.argsort(data.point, kind="stable")
-    ends = np.searchsorted(data.point[order], np.arange(len(xyz) + 1))
-    for j in np.unique(data.point[seen & (off > 2 * FAR * typical)]):
-        rows = order[ends[j]:ends[j + 1]]
-        rows = rows[seen[rows]]
-        if not 3 <= len(rows) <= MANY_RAYS:
-            continue
-        trials = [_met(data, poses, np.delete(rows, k)) for k in range(len(rows))]
-        best = min(trials, key=lambda met: met[1])
-        if best[1] < FAR * typical:
-            xyz[j] = best[0]
-
-
-def _met(data: Given, poses: dict[int, Exterior], rows: np.ndarray) -> tuple[np.ndarray, float]:
-    """Where the rays of some observations meet (3,), and the largest residual there, in standard errors."""
-    cameras, of = [data.camera(i) for i in data.image[rows]], [poses[int(i)] for i in data.image[rows]]
-    ideal = [camera.ideal(data.pixels[r][None])[0] for camera, r in zip(cameras, rows, strict=True)]
-    ray = np.stack([e.m.T @ [*xy, -camera.c] for e, xy, camera in zip(of, ideal, cameras, strict=True)])
-    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-    across = np.eye(3) - ray[:, :, None] * ray[:, None]
-    at = np.linalg.lstsq(across.sum(0), np.einsum("kij,kj->i", across, np.stack([e.centre for e in of])), rcond=None)[0]
-    off = [_off(e, at[None], xy[None], camera.c)[0] / camera.pitch[0] for e, xy, camera in zip(of, ideal, cameras, strict=True)]
-    return at, float(np.max(np.array(off) / data.sigma[rows]))
 
 
 def _resected(data: Given, image: int, xyz: np.ndarray, least: int) -> Exterior | None:
@@ -163,7 +115,7 @@ def _resections(data: Given, image: int, xyz: np.ndarray, least: int) -> list[Ex
     s = np.linalg.svd(at - mean, compute_uv=False)
     if s[1] <= 1e-4 * s[0]:
         return []
-    ideal, sigma = interior.ideal(data.pixels[rows]), data.sigma[rows] * interior.pitch[0]
+    ideal, sigma = data.ideal[rows], data.unit[rows]
     found = candidates(at - mean, ideal, interior.c)
     agree = _agreeing(found, at - mean, ideal, interior.c, sigma)
     if not agree.all():
@@ -202,26 +154,26 @@ def _agreed(data: Given, found: dict[int, list[Exterior]]) -> dict[int, Exterior
     open_ = [i for i, several in found.items() if len(several) > 1]
     if not open_ or len(poses) < 2 or len(open_) > MOST_OPEN:
         return poses
+    wanted = np.zeros(len(data.block.points), bool)
+    wanted[data.point[np.isin(data.image, open_)]] = True
     choices = [found[i] for i in open_]
     if np.prod([len(c) for c in choices]) <= TOGETHER:
         trials = [{**poses, **dict(zip(open_, chosen, strict=True))} for chosen in product(*choices)]
-        return min(trials, key=lambda p: _meeting(data, p))
+        return min(trials, key=lambda p: _meeting(data, p, wanted))
     for _ in range(2):
         for i in open_:
-            poses = min(({**poses, i: e} for e in found[i]), key=lambda p: _meeting(data, p))
+            poses = min(({**poses, i: e} for e in found[i]), key=lambda p: _meeting(data, p, wanted))
     return poses
 
 
-def _meeting(data: Given, poses: dict[int, Exterior]) -> float:
-    """Mean square of what the rays of all images miss their common points by [px^2]; far more where points are behind."""
-    xyz, total, count = points(data, poses), 0.0, 0
-    for i, e in poses.items():
-        rows = data.seen_in(i)
-        rows = rows[np.isfinite(xyz[data.point[rows]]).all(axis=1)]
-        v2 = ((data.pixels[rows] - project(data.camera(i), e, xyz[data.point[rows]])) ** 2).sum(axis=1)
-        total += float(np.where(np.isfinite(v2), v2, float(data.camera(i).width) ** 2).sum())
-        count += len(rows)
-    return total / max(count, 1)
+def _meeting(data: Given, poses: dict[int, Exterior], wanted: np.ndarray | None = None) -> float:
+    """Mean square of what the rays of all images miss their common points by [px^2]; far more where points are behind. wanted
+    (n,): only of these points."""
+    off = misses(data, poses, points(data, poses, wanted))
+    rows = np.flatnonzero(~np.isnan(off))
+    width = np.array([data.camera(i).width for i in range(len(data.block.images))], float)[data.image[rows]]
+    v = np.where(np.isfinite(off[rows]), off[rows] * data.sigma[rows], width)
+    return float((v * v).sum()) / max(len(rows), 1)
 
 
 def _by_dlt(data: Given, image: int, xyz: np.ndarray, least: int) -> Exterior | None:
@@ -243,7 +195,7 @@ def _by_affine(data: Given, image: int, xyz: np.ndarray, least: int) -> Exterior
         return None
     interior = data.camera(image)
     try:
-        found = affine(at - mean, interior.ideal(data.pixels[rows]))
+        found = affine(at - mean, data.ideal[rows])
     except DegenerateGeometry:
         return None
     u, s, vt = np.linalg.svd(found.a[:, :3], full_matrices=False)
@@ -265,15 +217,20 @@ _LINEAR = {"dlt": _by_dlt, "affine": _by_affine}
 
 
 def _grow(data: Given, poses: dict[int, Exterior], images: list[int], known: np.ndarray) -> None:
-    """Add images to the oriented ones, those that see most points first, until none can be added."""
-    placed, new = np.full_like(known, np.nan), list(poses)
-    while left := [i for i in images if i not in poses]:
+    """Add images to the oriented ones, those that see most points first, until none can be added. Large blocks are adjusted on
+    the way, for small errors grow from image to image."""
+    placed, new, left = np.full_like(known, np.nan), list(poses), [i for i in images if i not in poses]
+    straight = len(poses)
+    while left:
+        if len(poses) >= max(STEADY, WIDER * straight):
+            straightened(data, poses, known)
+            straight, new = len(poses), list(poses)
         touched = np.zeros(len(known), bool)
         touched[data.point[np.isin(data.image, new)]] = True
         placed[touched] = points(data, poses, touched)[touched]
         xyz = np.where(np.isfinite(known), known, placed)
         usable = np.asarray(np.isfinite(xyz).all(axis=1))
-        counts = np.array([int(usable[data.point[data.seen_in(i)]].sum()) for i in left])
+        counts = np.bincount(data.image[usable[data.point]], minlength=len(data.block.images))[left]
         if counts.max() < 6:
             return
         new = []
@@ -284,14 +241,15 @@ def _grow(data: Given, poses: dict[int, Exterior], images: list[int], known: np.
                 new.append(left[k])
         if not new:
             return
+        left = [i for i in left if i not in poses]
 
 
 def _believable(data: Given, image: int, e: Exterior, xyz: np.ndarray) -> bool:
     rows = data.seen_in(image)
     rows = rows[np.isfinite(xyz[data.point[rows]]).all(axis=1)]
-    v = np.linalg.norm(data.pixels[rows] - project(data.camera(image), e, xyz[data.point[rows]]), axis=1)
-    return bool(np.isfinite(v).mean() > 0.5 and np.nanmedian(v) < max(NEAR * data.sigma[rows].mean(),
-                                                                      0.02 * data.camera(image).width))
+    v = _off(e, xyz[data.point[rows]], data.ideal[rows], data.camera(image).c) / data.camera(image).pitch[0]
+    good = np.isfinite(v)
+    return bool(good.mean() > 0.5 and np.median(v[good]) < max(NEAR * data.sigma[rows].mean(), 0.02 * data.camera(image).width))
 
 
 def _prior(data: Given, image: int) -> Exterior | None:
@@ -303,19 +261,18 @@ def _prior(data: Given, image: int) -> Exterior | None:
 
 def _relative(data: Given, images: list[int]) -> dict[int, Exterior]:
     """Two images oriented to each other, base 1: of the pairs with most common points the one whose rays cross best."""
-    from scipy.sparse import csr_matrix
+    from scipy.sparse import csr_matrix, find, triu
 
     m, n = len(data.block.images), len(data.block.points)
     seen = csr_matrix((np.ones(len(data.image), np.int32), (data.image, data.point)), shape=(m, n))
-    shared = np.triu((seen @ seen.T).toarray(), 1)
+    a, b, shared = find(triu(seen @ seen.T, 1))
     best: tuple[float, dict[int, Exterior]] = (0.0, {})
-    for flat in np.argsort(-shared, axis=None, kind="stable")[:12]:
-        a, b = np.unravel_index(flat, shared.shape)
-        if shared[a, b] < 8:
+    for k in np.lexsort((b, a, -shared))[:12]:
+        if shared[k] < 8:
             break
-        pair = _pair(data, int(a), int(b))
-        if pair is not None and pair[0] * np.sqrt(shared[a, b]) > best[0]:
-            best = pair[0] * np.sqrt(shared[a, b]), pair[1]
+        pair = _pair(data, int(a[k]), int(b[k]))
+        if pair is not None and pair[0] * np.sqrt(shared[k]) > best[0]:
+            best = float(pair[0] * np.sqrt(shared[k])), pair[1]
     return best[1]
 
 
@@ -325,7 +282,7 @@ def _pair(data: Given, a: int, b: int) -> tuple[float, dict[int, Exterior]] | No
 
     rows_a, rows_b = data.seen_in(a), data.seen_in(b)
     _, i, j = np.intersect1d(data.point[rows_a], data.point[rows_b], return_indices=True)
-    rays = [data.camera(k).ideal(data.pixels[rows]) / data.camera(k).c * [1, -1] for k, rows in ((a, rows_a[i]), (b, rows_b[j]))]
+    rays = [data.ideal[rows] / data.camera(k).c * [1, -1] for k, rows in ((a, rows_a[i]), (b, rows_b[j]))]
     tolerance = 3 * float(data.sigma.mean()) * float(data.camera(a).pitch.max()) / data.camera(a).c
     essential, _ = cv2.findEssentialMat(rays[0], rays[1], np.eye(3), cv2.RANSAC, 0.9999, tolerance)
     if essential is None or essential.shape != (3, 3):
@@ -379,12 +336,3 @@ def _centres_and_axes(data: Given, poses: dict[int, Exterior]) -> tuple[np.ndarr
     extent = [float(np.linalg.norm(at - at.mean(axis=0), axis=1).max()) / 3 for at in (source, target)]
     return (np.vstack([source, *(e.centre + extent[0] * e.m for e, _ in turned)]),
             np.vstack([target, *(e.centre + extent[1] * e.m for _, e in turned)]))
-
-
-def _behind(data: Given, poses: dict[int, Exterior], xyz: np.ndarray) -> None:
-    """Points that lie behind an image that sees them lose their start (NaN): such a bundle could not begin."""
-    for i, e in poses.items():
-        at = data.point[data.seen_in(i)]
-        with np.errstate(invalid="ignore"):
-            wrong = ~np.isfinite(project(data.camera(i), e, xyz[at])).all(axis=1)
-        xyz[at[wrong]] = np.nan
