@@ -7,6 +7,7 @@ import pytest
 
 from solvers import BadProject, Block, Image, Interior, Observations, Points, Prior
 from solvers.io import read_project, read_truth, write_observations, write_project
+from solvers.simulation import uav_block
 
 TOML = """
 [project]
@@ -144,3 +145,34 @@ def test_project_toml_names_table_key_and_cure(tmp_path: Path, find: str, put: s
     with pytest.raises(BadProject) as error:
         read_project(folder(tmp_path, TOML.replace(find, put)))
     assert says in str(error.value) and "project.toml" in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("origin", ["center", "corner"])
+def test_a_plain_table_is_read_at_once_and_gives_what_its_rows_give(tmp_path: Path, origin: str, monkeypatch) -> None:
+    from solvers.io import project
+
+    write_project(uav_block(1, strips=2, images=2, ties=20, fine=False).block, tmp_path, pixel_origin=origin)
+    for name in ("points", "observations"):
+        path = tmp_path / f"{name}.csv"
+        path.write_text(path.read_text().replace("\n", "\r\n"), newline="")
+        assert project.read_columns(path, ()) is not None
+    quick = read_project(tmp_path)
+    monkeypatch.setattr(project, "read_columns", lambda *_: None)
+    slow = read_project(tmp_path)
+    assert quick.points.names == slow.points.names and quick.points.role == slow.points.role
+    for part in ("points", "observations"):
+        for field in ("xyz", "sigma") if part == "points" else ("image", "point", "pixel", "sigma"):
+            np.testing.assert_array_equal(getattr(getattr(quick, part), field), getattr(getattr(slow, part), field))
+
+
+@pytest.mark.parametrize("cell", ["nan", "1_0", "inf", "1e999", "x", "", "-7000", '"12"'])
+def test_whatever_is_odd_in_a_table_is_left_to_its_rows(tmp_path: Path, cell: str) -> None:
+    from solvers.io import project
+
+    block = uav_block(1, strips=2, images=2, ties=20, fine=False).block
+    write_project(block, tmp_path)
+    path = tmp_path / "observations.csv"
+    lines = path.read_text().splitlines()
+    lines[5] = ",".join([*lines[5].split(",")[:2], cell, *lines[5].split(",")[3:]])
+    path.write_text("\n".join(lines) + "\n")
+    assert project._plain_observations(path, block, "center") is None

@@ -267,7 +267,7 @@ def _relative(data: Given, images: list[int]) -> dict[int, Exterior]:
     seen = csr_matrix((np.ones(len(data.image), np.int32), (data.image, data.point)), shape=(m, n))
     a, b, shared = find(triu(seen @ seen.T, 1))
     best: tuple[float, dict[int, Exterior]] = (0.0, {})
-    for k in np.lexsort((b, a, -shared))[:12]:
+    for k in np.lexsort((b, a, np.negative(shared)))[:12]:
         if shared[k] < 8:
             break
         pair = _pair(data, int(a[k]), int(b[k]))
