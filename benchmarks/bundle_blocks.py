@@ -48,6 +48,41 @@ def block(m: int, points_per_image: int = 200) -> dict[str, Any]:
     }
 
 
+LONG = Interior(300.0, pixel_mm=PIXEL, width=WIDTH, height=HEIGHT)
+
+
+def long_range(m: int, points_per_image: int = 60) -> dict[str, Any]:
+    """The same of m photos of 300 mm along a cliff 100 m away, two metres deep, each third turned 25 degrees to the left, none
+    and to the right: narrow fields, for the orthogonal model."""
+    rng = np.random.default_rng(m)
+    step, n = 2.0, m * points_per_image // 3
+    target = step * (np.arange(m) // 3)
+    turn = np.radians(25.0) * (np.arange(m) % 3 - 1)
+    xyz = np.column_stack([rng.uniform(-3, target[-1] + 3, n), rng.uniform(-2.4, 2.4, n), rng.uniform(-1, 1, n)])
+    centres = np.column_stack([target + 100 * np.sin(turn), np.zeros(m), 100 * np.cos(turn)]) + rng.normal(0, 0.3, (m, 3))
+    tilts = np.radians(rng.normal(0, [0.05, 0.05, 3.0], (m, 3)))
+    ms = [rotation(o, p, k) @ exp(np.array([0.0, -t, 0.0])) for (o, p, k), t in zip(tilts, turn, strict=True)]
+    image, point, pixel = [], [], []
+    for i, (r, c) in enumerate(zip(ms, centres, strict=True)):
+        uvw = (xyz - c) @ r.T
+        at = LONG.pixels(-LONG.c * uvw[:, :2] / uvw[:, 2:])
+        ok = np.flatnonzero(LONG.inside(at, -20))
+        image.append(np.full(len(ok), i))
+        point.append(ok)
+        pixel.append(at[ok])
+    image, point, pixel = (np.concatenate(parts) for parts in (image, point, pixel))
+    keep = np.bincount(point, minlength=n)[point] >= 3
+    image, point, pixel = image[keep], point[keep], pixel[keep]
+    order = np.lexsort((image, point))
+    kept = np.unique(point)
+    return {
+        "poses": np.array([Exterior(exp(np.radians(rng.normal(0, 0.02, 3))) @ r, c + rng.normal(0, 0.02, 3)).vector
+                           for r, c in zip(ms, centres, strict=True)]),
+        "xyz": xyz[kept] + rng.normal(0, 0.02, (len(kept), 3)), "image": image[order],
+        "point": np.searchsorted(kept, point[order]), "pixel": (pixel + rng.normal(0, NOISE, pixel.shape))[order],
+    }
+
+
 def _seen(centres: np.ndarray, ms: list[np.ndarray], xyz: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
     """Image, point and pixel of the observations, sorted by point and image."""
     from scipy.spatial import KDTree

@@ -15,7 +15,7 @@ from solvers.geometry import exp, to_opencv
 from solvers.geometry.pose import Exterior
 
 
-def prepared(b: dict[str, Any], threads: int, free: tuple[str, ...]) -> tuple[Any, np.ndarray]:
+def prepared(b: dict[str, Any], threads: int, free: tuple[str, ...], camera: Any = START) -> tuple[Any, np.ndarray]:
     """Our problem and its start values; the analysis of the pattern belongs to it."""
     from solvers.orientation.bundle.compiled import Compiled
     from solvers.orientation.bundle.given import _sorted
@@ -27,14 +27,14 @@ def prepared(b: dict[str, Any], threads: int, free: tuple[str, ...]) -> tuple[An
     place = np.argsort(order)
     rows = np.lexsort((b["image"], place[b["point"]]))
     middle = b["xyz"].mean(axis=0)
-    net = Network(tuple(map(str, range(m))), ("camera",), (START,), np.zeros(m, int), tuple(map(str, order)), b["image"][rows],
+    net = Network(tuple(map(str, range(m))), ("camera",), (camera,), np.zeros(m, int), tuple(map(str, order)), b["image"][rows],
                   place[b["point"]][rows], b["pixel"][rows], np.ones(len(rows)), (free,), np.full((n, 3), np.nan),
                   np.zeros((n, 3)), n, (None,) * m)
     compiled = Compiled(net, threads)
     _ = compiled.pattern, compiled.lut
     poses = b["poses"].copy()
     poses[:, :3] -= middle
-    return Bundle(net, None, compiled), net.pack(poses, START.parameters[None], (b["xyz"] - middle)[order])
+    return Bundle(net, None, compiled), net.pack(poses, camera.parameters[None], (b["xyz"] - middle)[order])
 
 
 def _judged(made: Any, x: np.ndarray) -> None:
@@ -77,6 +77,36 @@ def run_ours(b: dict[str, Any], threads: int, free: tuple[str, ...], covariance:
         _judged(made, last)
         out |= {"covariance": time.perf_counter() - t, "covariance cpu": time.process_time() - c}
     return out | {"build": build}
+
+
+def run_long_range(m: int, threads: int, model: str, free: tuple[str, ...] = ("c",)) -> dict[str, Any]:
+    """A free network of narrow fields by one of our models, from its start to its statistics."""
+    from dataclasses import replace
+
+    from benchmarks.bundle_blocks import LONG, long_range
+    from solvers.adjustment import iterate
+    from solvers.orientation.bundle.datum import Inner
+    from solvers.orientation.bundle.orthogonal import orthogonal
+    from solvers.orientation.bundle.orthogonal_start import BUNDLE, FIXED_POINT
+    from solvers.orientation.bundle.orthogonal_statistics import orthogonal_statistics
+    from solvers.orientation.bundle.statistics import statistics
+
+    for size in (min(m, 70), m):  # what is compiled is compiled by a small one
+        made, x = prepared(long_range(size), threads, free, replace(LONG, c=LONG.c * 1.001))
+        made = replace(made, inner=Inner(np.arange(len(made.network.points)), made.network.split(x)[2].copy()))
+        t, c = time.perf_counter(), time.process_time()
+        if model == "orthogonal":
+            made = orthogonal(made.network, made, x, False, dense=False)
+        build = time.perf_counter() - t
+        t, c = time.perf_counter(), time.process_time()
+        rows = list(iterate(made, x, FIXED_POINT if model == "orthogonal" else BUNDLE))
+        out = {"build": build, "solve": time.perf_counter() - t, "cpu": time.process_time() - c, "iterations": len(rows) - 1,
+               "sigma0": rows[-1].sigma0, "stop": rows[-1].stop, "points": len(made.network.points),
+               "observations": len(made.network.image)}
+        t, c = time.perf_counter(), time.process_time()
+        (orthogonal_statistics if model == "orthogonal" else statistics)(made, rows[-1].x)
+        out |= {"statistics": time.perf_counter() - t, "statistics cpu": time.process_time() - c}
+    return out
 
 
 def run_pairs(b: dict[str, Any], threads: int, free: tuple[str, ...], pairs: int) -> list[tuple[float, float, float]]:

@@ -84,7 +84,7 @@ class Factor:
         def eliminate(k: int) -> None:
             front = pattern.fronts[k]
             children = sorted(waiting.pop(k, []), key=lambda c: c[0].own[0])  # one order of adding: the same digits every time
-            self._lower[k], update = _eliminated(pattern, front, blocks, children)
+            self._lower[k], update = self._eliminated(pattern, front, blocks, children)
             if update is not None:
                 waiting.setdefault(front.parent, []).append((front, update))
 
@@ -119,7 +119,7 @@ class Factor:
 
         def invert(k: int) -> None:
             front = p.fronts[k]
-            z = _inverted(front, *self._lower[k], kept.get(front.parent), s)
+            z = self._inverted(front, *self._lower[k], kept.get(front.parent), s)
             found = z.reshape(len(z) // s, s, -1, s)[front.at[:, 0], :, front.at[:, 1], :]
             found[front.flip] = np.swapaxes(found[front.flip], 1, 2)
             out[front.blocks] = found
@@ -129,39 +129,76 @@ class Factor:
         _descend(p, invert, lambda k: kept.pop(k, None))
         return out
 
+    def _eliminated(self, pattern: Pattern, front: Front, blocks: np.ndarray, children: list[tuple[Front, np.ndarray]],
+                    ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray | None]:
+        """L11 and L21 of a front in Fortran order, and what it passes on to its parent."""
+        dpotrf, dtrsm, dsyrk, _ = _lapack()
+        a11, a12, a22 = _assembled(pattern, front, blocks, children)
+        l11, info = dpotrf(a11.T, lower=1, overwrite_a=1, clean=1)
+        if info:
+            raise np.linalg.LinAlgError(f"not positive definite at node {front.own[(info - 1) // pattern.size]}")
+        if not len(front.border):
+            return (l11, a12.T), None
+        l21 = dtrsm(1.0, l11, a12.T, side=1, lower=1, trans_a=1, overwrite_b=1)
+        return (l11, l21), dsyrk(-1.0, l21, beta=1.0, c=a22.T, lower=1, overwrite_c=1).T
+
+    def _inverted(self, front: Front, l11: np.ndarray, l21: np.ndarray, parent: np.ndarray | None, size: int) -> np.ndarray:
+        """The inverse over a front's own nodes and its border, from that of its parent."""
+        _, dtrsm, _, dpotri = _lapack()
+        n1, n2 = len(front.own) * size, len(front.border) * size
+        z = np.empty((n1 + n2, n1 + n2))
+        inverse, _ = dpotri(l11, lower=1)
+        z[:n1, :n1] = np.tril(inverse) + np.tril(inverse, -1).T
+        if parent is not None and n2:
+            index = _expand(front.place, size)
+            z[n1:, n1:] = parent[np.ix_(index, index)]
+            y = dtrsm(1.0, l11, l21, side=1, lower=1)  # L21 L11^-1
+            z[n1:, :n1] = -z[n1:, n1:] @ y
+            z[:n1, n1:] = z[n1:, :n1].T
+            z[:n1, :n1] -= y.T @ z[n1:, :n1]
+        return z
+
+
+class Indefinite(Factor):
+    """The same of a symmetric matrix that need not be positive: the own nodes of every front are inverted as one block, with
+    pivots. `_lower` holds A11^-1 and A21 A11^-1. Raises numpy.linalg.LinAlgError where such a block is singular."""
+
+    def _eliminated(self, pattern: Pattern, front: Front, blocks: np.ndarray, children: list[tuple[Front, np.ndarray]],
+                    ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray | None]:
+        a11, a12, a22 = _assembled(pattern, front, blocks, children)
+        inverse = np.linalg.inv(np.triu(a11) + np.triu(a11, 1).T)
+        inverse = (inverse + inverse.T) / 2
+        l21 = a12.T @ inverse
+        return (inverse, l21), a22 - l21 @ a12 if len(front.border) else None
+
+    def _solved(self, b: np.ndarray) -> np.ndarray:
+        s = self.pattern.size
+        x = b.reshape(self.pattern.count, s, -1)
+        r = x.shape[2]
+        for front, (_, l21) in zip(self.pattern.fronts, self._lower, strict=True):
+            if len(front.border):
+                x[front.border] -= (l21 @ x[front.own].reshape(-1, r)).reshape(-1, s, r)
+        for front, (inverse, l21) in zip(reversed(self.pattern.fronts), reversed(self._lower), strict=True):
+            y = inverse @ x[front.own].reshape(-1, r)
+            if len(front.border):
+                y -= l21.T @ x[front.border].reshape(-1, r)
+            x[front.own] = y.reshape(-1, s, r)
+        return x
+
+    def _inverted(self, front: Front, l11: np.ndarray, l21: np.ndarray, parent: np.ndarray | None, size: int) -> np.ndarray:
+        n1, n2 = len(front.own) * size, len(front.border) * size
+        z = np.empty((n1 + n2, n1 + n2))
+        z[:n1, :n1] = l11
+        if parent is not None and n2:
+            index = _expand(front.place, size)
+            z[n1:, n1:] = parent[np.ix_(index, index)]
+            z[n1:, :n1] = -z[n1:, n1:] @ l21
+            z[:n1, n1:] = z[n1:, :n1].T
+            z[:n1, :n1] -= l21.T @ z[n1:, :n1]
+        return z
+
 
 _NOTHING = (np.empty((0, 0)), np.empty((0, 0)))
-
-
-def _eliminated(pattern: Pattern, front: Front, blocks: np.ndarray, children: list[tuple[Front, np.ndarray]],
-                ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray | None]:
-    """L11 and L21 of a front in Fortran order, and what it passes on to its parent."""
-    dpotrf, dtrsm, dsyrk, _ = _lapack()
-    a11, a12, a22 = _assembled(pattern, front, blocks, children)
-    l11, info = dpotrf(a11.T, lower=1, overwrite_a=1, clean=1)
-    if info:
-        raise np.linalg.LinAlgError(f"not positive definite at node {front.own[(info - 1) // pattern.size]}")
-    if not len(front.border):
-        return (l11, a12.T), None
-    l21 = dtrsm(1.0, l11, a12.T, side=1, lower=1, trans_a=1, overwrite_b=1)
-    return (l11, l21), dsyrk(-1.0, l21, beta=1.0, c=a22.T, lower=1, overwrite_c=1).T
-
-
-def _inverted(front: Front, l11: np.ndarray, l21: np.ndarray, parent: np.ndarray | None, size: int) -> np.ndarray:
-    """The inverse over a front's own nodes and its border, from that of its parent."""
-    _, dtrsm, _, dpotri = _lapack()
-    n1, n2 = len(front.own) * size, len(front.border) * size
-    z = np.empty((n1 + n2, n1 + n2))
-    inverse, _ = dpotri(l11, lower=1)
-    z[:n1, :n1] = np.tril(inverse) + np.tril(inverse, -1).T
-    if parent is not None and n2:
-        index = _expand(front.place, size)
-        z[n1:, n1:] = parent[np.ix_(index, index)]
-        y = dtrsm(1.0, l11, l21, side=1, lower=1)  # L21 L11^-1
-        z[n1:, :n1] = -z[n1:, n1:] @ y
-        z[:n1, n1:] = z[n1:, :n1].T
-        z[:n1, :n1] -= y.T @ z[n1:, :n1]
-    return z
 
 
 def _climb(pattern: Pattern, work: Callable[[int], None]) -> None:

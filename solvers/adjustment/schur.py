@@ -17,13 +17,13 @@ from functools import cached_property
 
 import numpy as np
 
-from .fronts import Factor, Pattern, alone
+from .fronts import Factor, Indefinite, Pattern, alone
 
 
 @dataclass(frozen=True)
 class Reduced:
     """The reduced system. blocks (b, s, s) of `pattern`, border (n, k), corner (k, k), right side of images g (n,) and of the
-    border h (k,), where n = nodes times s."""
+    border h (k,), where n = nodes times s. definite: whether it should be positive definite."""
 
     pattern: Pattern
     blocks: np.ndarray
@@ -31,11 +31,12 @@ class Reduced:
     corner: np.ndarray
     g: np.ndarray
     h: np.ndarray
+    definite: bool = True
 
     @cached_property
     def factor(self) -> Factor:
-        """Raises numpy.linalg.LinAlgError where S is not positive definite."""
-        return Factor(self.pattern, self.blocks)
+        """Raises numpy.linalg.LinAlgError where S is not positive definite, or singular."""
+        return (Factor if self.definite else Indefinite)(self.pattern, self.blocks)
 
     @cached_property
     def _both(self) -> np.ndarray:
@@ -49,7 +50,8 @@ class Reduced:
         with alone():
             k = self.corner - self.border.T @ y
             k = (k + k.T) / 2
-            np.linalg.cholesky(k)  # refuses what is not positive definite
+            if self.definite:
+                np.linalg.cholesky(k)  # refuses what is not positive definite
             return y, np.linalg.inv(k)
 
     def solve(self, g: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -96,4 +98,4 @@ class Schur:
         return dx, np.zeros(0)
 
 
-__all__ = ["Factor", "Pattern", "Reduced", "Schur"]
+__all__ = ["Factor", "Indefinite", "Pattern", "Reduced", "Schur"]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from solvers.adjustment.fronts import Factor, Pattern
+from solvers.adjustment.fronts import Factor, Indefinite, Pattern
 from solvers.adjustment.schur import Reduced, Schur
 
 
@@ -34,6 +34,20 @@ def test_factor_solves_and_inverts_where_the_matrix_is_not_zero(m, leaf, pieces)
     np.testing.assert_allclose(whole @ factor.solve(b), b, atol=1e-11)
     inverse = np.linalg.inv(whole).reshape(m, 3, m, 3)
     np.testing.assert_allclose(factor.selected_inverse(), inverse[i, :, j, :], atol=1e-12)
+
+
+def test_a_matrix_that_is_not_positive_is_factored_too():
+    i, j, blocks, whole = matrix(90, 2.6, 3, 1)
+    sign = np.where(np.arange(270) % 2, -1.0, 1.0)  # saddle: every other unknown is a multiplier
+    whole = whole + np.diag(np.diag(whole) * (sign - 1))
+    blocks = whole.reshape(90, 3, 90, 3)[i, :, j, :]
+    assert (np.linalg.eigvalsh(whole) < 0).sum() == 135
+    pattern = Pattern.of(90, 3, i, j, 8)
+    with pytest.raises(np.linalg.LinAlgError):
+        Factor(pattern, blocks)
+    factor, b = Indefinite(pattern, blocks), np.random.default_rng(1).normal(size=(270, 4))
+    np.testing.assert_allclose(whole @ factor.solve(b), b, atol=1e-10)
+    np.testing.assert_allclose(factor.selected_inverse(), np.linalg.inv(whole).reshape(90, 3, 90, 3)[i, :, j, :], atol=1e-11)
 
 
 def test_dissection_keeps_the_work_of_a_long_strip_linear():

@@ -10,13 +10,18 @@ import pytest
 
 from solvers import BadProject, Block, DegenerateGeometry
 from solvers.adjustment import Trace, iterate, solve
+from solvers.adjustment.fronts import Pattern
 from solvers.cli import main
 from solvers.io import demo_assets, read_project, write_project
 from solvers.orientation.bundle import BundleRequest, BundleStart, adjust, conclude_bundle, prepare_bundle
 from solvers.orientation.bundle.datum import motions, similarity
 from solvers.orientation.bundle.orthogonal import OrthogonalBundle, free_directions
+from solvers.orientation.bundle.orthogonal_sparse import Sparse
+from solvers.orientation.bundle.orthogonal_statistics import orthogonal_statistics
+from solvers.orientation.bundle.problem import Bundle
 from solvers.simulation import field_long_range, ono_stereo, ono_triplet, uav_block
 from tests.checks import assert_same, check_jacobian, chi_square_band, normalised_error
+from tests.orientation.test_bundle_extras import barred, everything
 
 
 def controlled(block: Block, xyz: np.ndarray, count: int, sigma: float, rng: np.random.Generator | None = None) -> Block:
@@ -45,6 +50,79 @@ def test_jacobian_of_the_frozen_model_is_that_of_the_iterated_one(options):
     iterated = replace(problem, frozen=None)
     np.testing.assert_allclose(iterated.linear(start.x0).j, problem.linear(start.x0).j, rtol=1e-12, atol=1e-9)
     np.testing.assert_allclose(iterated.linear(start.x0).v, problem.linear(start.x0).v, rtol=1e-6, atol=1e-7)
+
+
+def twins(problem: OrthogonalBundle) -> tuple[OrthogonalBundle, OrthogonalBundle]:
+    """The dense and the sparse path of a problem, the sparse one in many fronts."""
+    sparse = Sparse(problem.network)
+    p = sparse.compiled.pattern
+    sparse.compiled.__dict__["pattern"] = Pattern.of(p.count, p.size, p.row, p.column, leaf=1)
+    return replace(problem, sparse=None), replace(problem, sparse=sparse)
+
+
+@pytest.mark.parametrize("options", [
+    {"datum": "free"}, {"datum": "free", "free": ("c",), "transform": "frozen"}, {"datum": "control", "free": ("c",)},
+    {"datum": "both", "free": ("c",), "loss": "huber"}, {"datum": "control", "transform": "frozen", "free": ("c",)},
+    "everything"])
+def test_the_sparse_path_gives_what_the_dense_one_gives(options):
+    """Normal equations, damped steps, Newton's steps, statistics: with priors, bars, common covariances and shifts of strips."""
+    if options == "everything":
+        start = prepare_bundle(everything(), BundleRequest(datum="both", free=("c",)))
+        problem = OrthogonalBundle(start.problem.network)
+        x = solve(start.problem, start.x0, start.options).last.x
+        assert problem.network.extras.held and problem.network.extras.shifts and len(problem.network.prior_arrays[0])
+    else:
+        sim = ono_triplet(2)
+        problem, start = start_of(controlled(sim.block, sim.xyz, 5, 0.001, np.random.default_rng(1)), **options)
+        x = start.x0
+    dense, sparse = twins(problem)
+    one, other = dense.normal(x), sparse.normal(x)
+    np.testing.assert_allclose(other.scale, one.scale, rtol=1e-12)
+    np.testing.assert_allclose(other.gradient / one.scale, one.gradient / one.scale, atol=1e-9)
+    for damping in (0.0, 1e-3):
+        a, b = one.step(damping)[0] * one.scale, other.step(damping)[0] * one.scale
+        assert np.abs(a - b).max() < 1e-6 * np.abs(a).max()
+    if not dense.frozen and not dense.inner:
+        dx, linear = replace(sparse, aimed=True).normal(x).step(0.0)[0], dense.linear(x)
+        pg = np.einsum("oab,obu->oau", linear.p, linear.j / one.scale)
+        right = np.einsum("oau,oa->u", pg, linear.v)
+        reached = np.einsum("oau,oa->u", pg, dense.steps_of(Bundle(problem.network).linear(x).j, x) @ dx)
+        np.testing.assert_allclose(reached, right, atol=1e-7 * np.abs(right).max())
+    if options != "everything":
+        x = solve(dense, x, start.options).last.x
+        end = solve(sparse, x, start.options).last.x
+        np.testing.assert_allclose(end, x, rtol=1e-7, atol=1e-7)
+    judged, again = orthogonal_statistics(dense, x), orthogonal_statistics(sparse, x)
+    for name in ("poses", "interior", "points", "redundancy", "w", "cross", "border"):
+        a, b = getattr(judged, name), getattr(again, name)
+        assert a.shape == b.shape
+        assert not a.size or np.nanmax(np.abs(a - b)) < 1e-5 * np.nanmax(np.abs(a)), name
+
+
+def test_a_scale_bar_gives_the_scale():
+    sim = field_long_range(2)
+    names = sim.block.points.names
+    block = barred(sim.block, sim.xyz, [(names[0], names[-1])], 0.001)
+    one, other = adjust(block, datum="free"), adjust(block, datum="free", model="orthogonal")
+    assert other.trace.converged and other.dof == one.dof and other.sigma0 == pytest.approx(one.sigma0, rel=0.05)
+    for got in (one, other):
+        at = {p.name: p.xyz for p in got.points}
+        assert np.linalg.norm(at[names[0]] - at[names[-1]]) == pytest.approx(block.scale_bars[0].length, abs=1e-5)
+
+
+def test_the_sparse_path_is_taken_when_asked_for_and_says_what_is_free():
+    sim = ono_triplet(1)
+    block = controlled(sim.block, sim.xyz, 5, 0.001)
+    one, other = (adjust(block, model="orthogonal", free=("c",), compiled=c) for c in (False, True))
+    assert other.sigma0 == pytest.approx(one.sigma0, rel=1e-9) and other.dof == one.dof
+    np.testing.assert_allclose([p.xyz for p in other.points], [p.xyz for p in one.points], atol=1e-9)
+    np.testing.assert_allclose([p.covariance for p in other.points], [p.covariance for p in one.points], rtol=1e-5, atol=1e-12)
+    with pytest.raises(DegenerateGeometry, match="stereo pairs do not determine the angle"):
+        adjust(ono_stereo(1).block, datum="free", model="orthogonal", compiled=True)
+    problem, start = start_of(block, free=("c",))
+    lost = replace(twins(problem)[1], network=replace(problem.network, weight=np.zeros_like(problem.network.weight)))
+    with pytest.raises(DegenerateGeometry, match="the datum"):
+        orthogonal_statistics(lost, start.x0)
 
 
 @pytest.mark.parametrize(("make", "free", "extra"), [(ono_stereo, (), 1), (ono_triplet, (), 0), (ono_triplet, ("c",), 0)])

@@ -17,12 +17,14 @@ from typing import Literal
 import numpy as np
 
 from ...adjustment import Dense, Linear
+from ...adjustment.fronts import alone
 from ...adjustment.losses import COSTS, LOSSES
 from ...cameras import Interior, correct_jacobian
 from ...geometry import Exterior, skew
 from .datum import motions
 from .network import Network
-from .problem import Bundle
+from .orthogonal_sparse import Equations, Sparse, SparseNormal, aim, left_free
+from .problem import DENSE, Bundle
 
 TURN = 0.1
 """Largest rotation of an image in one step of the repetition [rad]."""
@@ -79,12 +81,14 @@ class OrthogonalBundle(Bundle):
 
     frozen: the transformation that is kept, None to transform anew at every iteration. extra: directions that the frozen normal
     equations leave free beyond the seven of the datum (one for a stereo pair); they are held by inner constraints, too.
-    aimed: step straight at the fixed point (Newton) where plain repetition runs away from it.
+    aimed: step straight at the fixed point (Newton) where plain repetition runs away from it. sparse: normal equations and
+    statistics that keep to what is not zero, None for the plain dense path, which gives the same.
     """
 
     frozen: Frozen | None = None
     extra: int = 0
     aimed: bool = False
+    sparse: Sparse | None = None
 
     @property
     def model(self) -> Literal["perspective", "orthogonal"]:
@@ -126,10 +130,11 @@ class OrthogonalBundle(Bundle):
             xa[p.rows], by_c[p.rows], k[p.rows], by_pixel[p.rows] = p.transformed, p.by_c, p.k, p.by_pixel
         return Frozen(xa, by_c, k, by_pixel, net.split(x)[1][:, 0].copy())
 
-    def image_rows(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(o, 2) residuals px and (o, 2, 2) weights px^-2: those of orthogonal coordinates that weigh alike, before any loss."""
+    def image_rows(self, x: np.ndarray, images: list[Parallel] | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """(o, 2) residuals px and (o, 2, 2) weights px^-2: those of orthogonal coordinates that weigh alike, before any loss.
+        images: those at x, where they are known already."""
         net = self.network
-        images = self.parallel(x)
+        images = images or self.parallel(x)
         if self.frozen is None:
             v = super().residuals(x)
             k, by_pixel = np.empty(len(v)), np.empty((len(v), 2, 2))
@@ -147,16 +152,11 @@ class OrthogonalBundle(Bundle):
 
     def cost(self, x: np.ndarray) -> float:
         net = self.network
-        _, interiors, points = net.split(x)
-        if not np.isfinite(x).all() or (interiors[:, 0] <= 0).any():
+        if not np.isfinite(x).all() or (net.split(x)[1][:, 0] <= 0).any():
             return float("inf")
         v, p = self.image_rows(x)
         t = np.sqrt(np.einsum("oa,oab,ob->o", v, p, v))
-        given = net.weight > 0
-        total = 0.5 * float((net.weight[given] * (net.known - points)[given] ** 2).sum())
-        if len(net.prior_arrays[0]):
-            total += 0.5 * float((self.prior_rows(x)[0] ** 2).sum())
-        total += float((COSTS[net.loss](t) if net.loss else t**2 / 2).sum())
+        total = self.given_cost(x) + float((COSTS[net.loss](t) if net.loss else t**2 / 2).sum())
         return total if np.isfinite(total) else float("inf")
 
     # -- the adjustment -----------------------------------------------------------------------------------------------------
@@ -171,7 +171,8 @@ class OrthogonalBundle(Bundle):
         more_v, more_j = self._whitened(x, u)
         h = w = None
         if self.inner:
-            h, w = self.inner.rows_of(net, motions(net, x)), np.zeros(7)
+            h = self.inner.rows_of(net, motions(net, x))
+            w = np.zeros(len(h))
             if self.extra:
                 h = np.concatenate([h, self._held(j, p, more_j, h)])
                 w = np.zeros(len(h))
@@ -198,11 +199,11 @@ class OrthogonalBundle(Bundle):
             block[:, :, 6 * i:6 * i + 3] = -s * mat[:2] - (s / mean) * p.uv[:, :, None] * mat[2]
             turn = -skew(middle)[2]  # derivatives of the middle's third coordinate, minus the depth
             block[:, :, 6 * i + 3:6 * i + 6] = -s * skew(cam)[:, :2] + (s / mean) * p.uv[:, :, None] * turn
-            unknown = np.flatnonzero(of < live)
-            at = 6 * m + f + 3 * of[unknown]
+            unknown = np.flatnonzero(of < net.unknown)
+            at = net.point_columns[of[unknown]]
             for c in range(3):
-                block[:, :, at + c] += (s / mean * mat[2, c] / r) * p.uv[:, :, None]
-                block[unknown, :, at + c] += s * mat[:2, c]
+                block[:, :, at[:, c]] += (s / mean * mat[2, c] / r) * p.uv[:, :, None]
+                block[unknown, :, at[:, c]] += s * mat[:2, c]
             camera = net.camera[i]
             if net.count[camera]:
                 block[:, :, 6 * m + net.tie[net.first[camera]]] = -(self.frozen.by_c[rows] if self.frozen else p.by_c)
@@ -217,7 +218,11 @@ class OrthogonalBundle(Bundle):
         vectors[:, :6 * m + f] = 0.0
         return vectors
 
-    def normal(self, x: np.ndarray) -> Dense:
+    def normal(self, x: np.ndarray) -> Dense | SparseNormal:
+        if self.sparse:
+            with alone():
+                made = Equations(self, x)
+                return SparseNormal(made, None if self.frozen else TURN, aim(made) if self.aimed else None)
         linear = self.linear(x)
         plain = linear.normal()
         if self.aimed:
@@ -295,13 +300,21 @@ def free_directions(j: np.ndarray, p: np.ndarray, more: np.ndarray,
     return values / values[-1], vectors / normal.scale[:, None]
 
 
-def orthogonal(network: Network, inner_bundle: Bundle, x0: np.ndarray, frozen: bool) -> OrthogonalBundle:
-    """The orthogonal twin of a bundle: its transformation kept at x0 or not, what it leaves free beyond the datum counted."""
-    problem = OrthogonalBundle(network, inner_bundle.inner, None)
+def orthogonal(network: Network, inner_bundle: Bundle, x0: np.ndarray, frozen: bool,
+               dense: bool | None = None) -> OrthogonalBundle:
+    """The orthogonal twin of a bundle: its transformation kept at x0 or not, what it leaves free beyond the datum counted. Dense
+    where the design matrix is small (or as told), sparse otherwise."""
+    m, f, live = network.sizes
+    small = 2 * len(network.image) * (6 * m + f + 3 * live) <= DENSE
+    problem = OrthogonalBundle(network, inner_bundle.inner, None, sparse=None if (small if dense is None else dense)
+                               else Sparse(network))
     if frozen:
         problem = replace(problem, frozen=problem.kept(x0))
     if not problem.inner:
         return problem
+    if problem.sparse:
+        with alone():
+            return replace(problem, extra=left_free(Equations(problem, x0), NULL).shape[1])
     plain = replace(problem, extra=0)
     linear, n = plain.linear(x0), len(network.image)
     values, _ = free_directions(linear.j[:n], linear.p[:n], linear.j[n:], linear.h)

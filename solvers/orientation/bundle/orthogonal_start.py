@@ -11,15 +11,13 @@ from ...adjustment import Options, solve
 from ...errors import BadProject, DegenerateGeometry
 from .given import Given
 from .orthogonal import OrthogonalBundle, orthogonal
-from .problem import DENSE, Bundle
+from .problem import Bundle
 
 BUNDLE = Options(max_iterations=60, max_trials=20, step_tolerance=1e-6, cost_tolerance=1e-13)
 FIXED_POINT = Options.gauss_newton(max_iterations=150, step_tolerance=1e-7)
 AIMED = Options.gauss_newton(max_iterations=30, step_tolerance=1e-7)
 FITS = 1.3
 """sigma0 below which a fixed point is not suspected to be a false one."""
-LARGEST = 10 * DENSE
-"""Elements of a design matrix beyond which the orthogonal model, which keeps it whole, refuses."""
 
 
 def orthogonal_start(perspective: Bundle, x0: np.ndarray, data: Given,
@@ -27,19 +25,21 @@ def orthogonal_start(perspective: Bundle, x0: np.ndarray, data: Given,
     """The orthogonal twin of a bundle, its transformation iterated or frozen, where and how it is iterated (loss: with a robust
     loss, frozen), and what to know of it.
 
-    Raises BadProject where other interior parameters than c are free, DegenerateGeometry where the network is too large.
+    Raises BadProject where other interior parameters than c are free, DegenerateGeometry where a large network leaves more than
+    its datum free.
     """
     net, request = perspective.network, data.request
     others = [p for free in net.free for p in free if p != "c"]
     if others:
         raise BadProject(f"the orthogonal model can free the principal distance c only, not {', '.join(dict.fromkeys(others))}; "
                          "take --model perspective for them")
-    m, f, live = net.sizes
-    if 2 * len(net.image) * (6 * m + f + 3 * live) > LARGEST:
-        raise DegenerateGeometry(f"{data.block.name}: {len(net.image)} observations of {live} points are too many for the "
-                                 "orthogonal model, which is for small networks of long focal length; take --model perspective")
     x0 = softened(perspective, x0)
-    problem = orthogonal(net, perspective, x0, request.transform == "frozen")
+    dense = None if request.compiled is None else not request.compiled
+    problem = orthogonal(net, perspective, x0, request.transform == "frozen", dense)
+    if problem.extra and problem.sparse:
+        raise DegenerateGeometry(f"{data.block.name}: beyond the seven of the datum, {problem.extra} or more combinations of "
+                                 "unknowns stay free in the orthogonal network (stereo pairs do not determine the angle between their "
+                                 "rays); give points a third image, take control or --model perspective")
     warnings: list[str] = []
     if problem.extra:
         warnings.append(f"beyond the seven of the datum, {problem.extra} combination(s) of unknowns stay free in the orthogonal "
@@ -75,7 +75,7 @@ def _far_off(cost: float, problem: OrthogonalBundle, perspective: Bundle, x: np.
 
 def false_fixed_point(problem: OrthogonalBundle, x: np.ndarray) -> list[str]:
     """What to say of a solution that is a false fixed point."""
-    plain = Bundle(problem.network, problem.inner)
+    plain = Bundle.of(problem.network, problem.inner)
     if problem.frozen or problem.extra or not _far_off(plain.cost(x), problem, plain, x):
         return []
     return ["false fixed point: the perspective model, from the same values, has far smaller residuals; do not use, take --model "

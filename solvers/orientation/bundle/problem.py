@@ -13,16 +13,15 @@ from typing import Literal
 
 import numpy as np
 
-from ...adjustment import Dense, Linear
+from ...adjustment import Dense, Linear, Normal
 from ...adjustment.fronts import alone
 from ...adjustment.losses import COSTS, LOSSES
-from ...adjustment.schur import Schur
 from ...cameras import project, project_derivatives
 from ...geometry import Exterior, skew
 from ...geometry.rotation import exp_many, log_many
 from .compiled import Compiled
 from .datum import Inner, motions
-from .lagged import Bordered, Lagged, lagged_derivatives, virtual
+from .lagged import Lagged, lagged_derivatives, virtual
 from .network import Network
 
 DENSE = 2_000_000
@@ -104,7 +103,7 @@ class Bundle:
         x = net.pack(poses, interiors, points, shifts, motion)
         return self.inner.restored(net, x) if self.inner else x
 
-    def normal(self, x: np.ndarray) -> Dense | Schur | Bordered:
+    def normal(self, x: np.ndarray) -> Normal:
         if self.compiled:
             with alone():
                 return self.compiled.normal(x, self.prior_rows(x), self.inner)

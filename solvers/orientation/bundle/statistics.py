@@ -67,7 +67,7 @@ def statistics(problem: Bundle, x: np.ndarray) -> Statistics:
                              detectable=np.where(checked, BAARDA_DELTA0 * sigma / root, np.inf), factor=factor,
                              loose=tuple(map(int, problem.compiled.loose(x, problem.prior_rows(x), problem.inner))))
     if named := defects(problem, x):
-        raise DegenerateGeometry(_sentence(named))
+        raise DegenerateGeometry(sentence(named))
     stats, o = precision(problem.linear(x), "the bundle"), len(net.image)
     q = stats.covariance
     poses = q[:6 * m, :6 * m].reshape(m, 6, m, 6)[np.arange(m), :, np.arange(m), :]
@@ -89,10 +89,10 @@ def _factor(problem: Bundle, v: np.ndarray) -> np.ndarray:
 
 def undetermined(problem: Bundle, x: np.ndarray) -> str:
     """A sentence that names what the observations leave free."""
-    return _sentence(defects(problem, x) or ["a combination of unknowns that could not be singled out"])
+    return sentence(defects(problem, x) or ["a combination of unknowns that could not be singled out"])
 
 
-def _sentence(named: list[str]) -> str:
+def sentence(named: list[str]) -> str:
     shown = "; ".join(named[:8]) + ("; ..." if len(named) > 8 else "")
     return f"the bundle is singular, it does not determine: {shown}; add control, priors or images, or free fewer parameters"
 
@@ -104,7 +104,7 @@ def defects(problem: Bundle, x: np.ndarray) -> list[str]:
     if out:
         return out
     if problem.compiled:
-        return [_named(problem, v) for v in problem.compiled.weakest(x, problem.prior_rows(x), problem.inner, NULL)]
+        return [direction(problem, v) for v in problem.compiled.weakest(x, problem.prior_rows(x), problem.inner, NULL)]
     normal = problem.normal(x)
     n = normal.scaled  # type: ignore[union-attr]
     if problem.inner:
@@ -112,7 +112,7 @@ def defects(problem: Bundle, x: np.ndarray) -> list[str]:
         h = np.linalg.qr(h.T)[0]
         n = n + h @ h.T
     values, vectors = np.linalg.eigh(n)
-    return [_named(problem, vectors[:, k]) for k in np.flatnonzero(values < NULL * values[-1])]
+    return [direction(problem, vectors[:, k]) for k in np.flatnonzero(values < NULL * values[-1])]
 
 
 def datum_defects(problem: Bundle, x: np.ndarray) -> list[str]:
@@ -156,7 +156,7 @@ def _motion(v: np.ndarray) -> str:
     return " with ".join(f"the datum's {SEVEN[k]}" for k in np.flatnonzero(np.abs(v) > 0.3))
 
 
-def _named(problem: Bundle, vector: np.ndarray) -> str:
+def direction(problem: Bundle, vector: np.ndarray) -> str:
     """The unknowns that make up most of a null vector (scaled parameters)."""
     net = problem.network
     m, f, _ = net.sizes
