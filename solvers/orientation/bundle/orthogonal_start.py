@@ -38,8 +38,8 @@ def orthogonal_start(perspective: Bundle, x0: np.ndarray, data: Given,
     problem = orthogonal(net, perspective, x0, request.transform == "frozen", dense)
     if problem.extra and problem.sparse:
         raise DegenerateGeometry(f"{data.block.name}: beyond the seven of the datum, {problem.extra} or more combinations of "
-                                 "unknowns stay free in the orthogonal network (stereo pairs do not determine the angle between their "
-                                 "rays); give points a third image, take control or --model perspective")
+                                 "unknowns stay free in the orthogonal network (stereo pairs do not determine the angle between "
+                                 "their rays); give points a third image, take control or --model perspective")
     warnings: list[str] = []
     if problem.extra:
         warnings.append(f"beyond the seven of the datum, {problem.extra} combination(s) of unknowns stay free in the orthogonal "
