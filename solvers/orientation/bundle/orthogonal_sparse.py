@@ -53,9 +53,9 @@ class Sparse:
 
     @cached_property
     def kernels(self) -> Any:
-        from . import _sparse_kernels
+        from ...adjustment import _kernels
 
-        return _sparse_kernels
+        return _kernels
 
     @cached_property
     def lut(self) -> np.ndarray:

@@ -93,6 +93,7 @@ def undetermined(problem: Bundle, x: np.ndarray) -> str:
 
 
 def sentence(named: list[str]) -> str:
+    """What to say of a singular bundle that leaves free what is named."""
     shown = "; ".join(named[:8]) + ("; ..." if len(named) > 8 else "")
     return f"the bundle is singular, it does not determine: {shown}; add control, priors or images, or free fewer parameters"
 
