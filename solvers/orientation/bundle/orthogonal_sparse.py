@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -30,9 +30,6 @@ from ...geometry import Exterior, skew
 from .compiled import Compiled
 from .datum import motions, pins
 from .network import Network
-
-if TYPE_CHECKING:
-    from .orthogonal import OrthogonalBundle
 
 NODE = 8
 """Unknowns of an image: six of its pose, the depth d of the middle, and y."""
@@ -179,10 +176,9 @@ class Known:
 
 
 class Equations:
-    """The normal equations of an orthogonal bundle at x, in unknowns scaled to a unit diagonal."""
+    """The normal equations of an `OrthogonalBundle` at x, in unknowns scaled to a unit diagonal."""
 
-    def __init__(self, problem: OrthogonalBundle, x: np.ndarray) -> None:
-        assert problem.sparse
+    def __init__(self, problem: Any, x: np.ndarray) -> None:
         self.problem, self.x, self.sparse = problem, x, problem.sparse
         self.images = problem.parallel(x)
         self.v, p = problem.image_rows(x, self.images)
