@@ -19,6 +19,7 @@ import viser
 from solvers import Unsupported
 
 from .actions import Action, Say, Tick, update
+from .actions_solve import Failed, Rows, Solved
 from .bridge import LOCAL_HOSTS, Wire, controls, guard_values, open_server
 from .flying import Fly, asked_by, flight
 from .home import home
@@ -30,7 +31,7 @@ from .overlay import view_through
 from .paint_viser import Painter
 from .palette import complete
 from .picking import pick
-from .state import MODELS, State, wanted
+from .state import FEW, MODELS, State, wanted
 from .tabs import Command, Desk, Panel, tabs, wanted_tasks, whole_scene
 from .theme import PERSPECTIVE
 
@@ -40,6 +41,8 @@ LATENCIES = 200
 PATIENCE = 0.04
 """How long a repaint waits for the chosen image's solutions, which then come in the same picture, seconds; anything else that
 happens meanwhile is answered at once."""
+OTHERS = 3.0
+"""The same for other images' solutions, of which there may be thousands, times what the last repaint took; at most a second."""
 
 
 class App:
@@ -65,6 +68,7 @@ class App:
         self._build()
         self._home_opens = True  # until everything was solved once, what is found widens the first view
         self._kept: tuple[Any, ...] = ()
+        self._painting = 0.0
         self._closed, self._first = threading.Event(), threading.Event()
         self._paint()
         self._loop = threading.Thread(target=self._run, name="collinea-loop", daemon=True)
@@ -109,13 +113,15 @@ class App:
             taken = self._take()
             began = time.perf_counter()
             worked = self._apply(taken)
-            while worked and self._solving() and (left := began + PATIENCE - time.perf_counter()) > 0:
+            while worked and (left := began + self._patience(taken) - time.perf_counter()) > 0:
                 with suppress(queue.Empty):
                     more = self._actions.get(timeout=left)
                     worked = self._apply([more] if more is not None else [])
                     taken.append(more)
             if taken:
+                start = time.perf_counter()
                 self._paint()
+                self._painting = time.perf_counter() - start
                 self._keep()
                 self.latencies = [*self.latencies, time.perf_counter() - began][-LATENCIES:]
             for _ in taken:
@@ -169,11 +175,16 @@ class App:
                 self._keeper.changed()
             self._kept = marks
 
-    def _solving(self) -> bool:
-        """Asks for what is missing; whether the chosen image's own solutions are still to come."""
+    def _patience(self, taken: Sequence[Any]) -> float:
+        """Asks for what is missing; how long a repaint waits for it: little where the chosen image's own solutions are still to
+        come, some times as long as the last one took where all that came are other images', else not at all."""
         self._try("The work to be done", lambda: self._jobs.want(wanted_tasks(self._state)))
         jobs = wanted(self._state)
-        return any(job.image == self._state.image and job.model in MODELS for job in jobs)
+        if any(job.image == self._state.image and job.model in MODELS for job in jobs):
+            return PATIENCE
+        many = bool(jobs) and len(self._state.block.images) > FEW
+        others = many and all(isinstance(a, Rows | Solved | Failed) and a.job.image != self._state.image for a in taken)
+        return min(OTHERS * self._painting, 1.0) if others else 0.0
 
     def _take(self) -> list[Any]:
         """All actions that wait; the clock's tick where it plays and nothing happens."""

@@ -13,6 +13,7 @@ from .bundle_rows import inner_extent, inner_places
 from .bundle_state import Bundle
 from .kept import by_identity
 from .matching_state import Matching
+from .memo import remembered
 from .mosaic_state import Mosaic, in_frame
 from .state import Assets, State
 from .values import Label, Mesh, Plane, PointCloud, Scene, Segments
@@ -155,8 +156,10 @@ def _spacing(xyz: bytes) -> float:
     return float(np.median(apart.min(axis=1)))
 
 
-NAMES = 300
-"""Names of points drawn at most."""
+NAMES, APART = 300, 0.07
+"""Names of points drawn at most; of the site's width: how far apart those of many points are."""
+CROWD = 24
+"""Points up to which every one is named, however close together."""
 
 
 @by_identity(4)
@@ -217,9 +220,25 @@ def points(state: State) -> Scene:
         if np.isfinite(at).all():
             found["/points/chosen"] = Segments(_symbols(at, 1.7 * size, 32)[3:], theme.foreground(state.view.dark), 3.0)
     if state.view.labels:
-        for j in [j for j in (*kinds["control"], *kinds["check"]) if known[j]][:NAMES]:
+        for j in _named(state.assets, block.points, state.point):
             name = block.points.names[j]
             found[f"/points/names/{name.replace('/', '_')}"] = Label(name, xyz[j] + [size, size, 0], 0.7)
+    return found
+
+
+@remembered(4)
+def _named(assets: Assets, points: Points, chosen: str | None) -> list[int]:
+    """The control and check points whose names are drawn: the chosen one, and of many only such as leave each other room."""
+    xyz, kinds = _local(assets, points), _by_role(points)
+    rows = [int(j) for j in (*kinds["control"], *kinds["check"]) if np.isfinite(xyz[j]).all()]
+    if len(rows) <= CROWD:
+        return rows
+    low, high = _extent(assets, points) or (np.zeros(3), np.ones(3))
+    room = APART * float((high - low)[:2].max())
+    found: list[int] = []
+    for j in sorted(rows, key=lambda j: points.names[j] != chosen):
+        if len(found) < NAMES and (not found or np.linalg.norm(xyz[found, :2] - xyz[j, :2], axis=1).min() > room):
+            found.append(j)
     return found
 
 

@@ -15,7 +15,7 @@ from solvers.block import Image
 from .acting import Action, handles
 from .actions_points import FIELDS
 from .scene import sight
-from .state import MODELS, State, fresh, measured
+from .state import MODELS, State, fresh, hopeful, measured
 
 MOST = 400
 """Rows shown at once; the filter finds the others."""
@@ -220,6 +220,8 @@ def status(state: State, image: str, measured: int, waits: bool) -> str:
     if not measured:
         return "not measured"
     solutions = [s for m in MODELS if (s := state.solution(m, image))]
+    if not solutions and not hopeful(state.work, image):
+        return "no solution"
     if waits and not all(fresh(state.work, image, m) for m in MODELS):
         return "waits"
     solved = [s for s in solutions if s.orientation]

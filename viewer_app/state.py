@@ -278,7 +278,25 @@ def _todo(state: State) -> Iterator[tuple[str, str]]:
     for image, count in counts.items():
         if count and image != state.image:
             for model in MODELS:
-                yield image, model
+                if hopeful(state.work, image) or (image, model) in state.work.solutions:
+                    yield image, model
+
+
+FEW = 100
+"""Images up to which every one of them is tried, so that it says itself what it lacks."""
+
+
+def hopeful(work: Work, image: str) -> bool:
+    """Whether an image sees the three control points without which nothing can be solved; of few images, all are."""
+    return len(work.block.images) <= FEW or image in _hopeful(work.block, work.off)
+
+
+@by_identity(4)
+def _hopeful(block: Block, off: frozenset[str]) -> frozenset[str]:
+    on = np.array([r == "control" and n not in off for n, r in zip(block.points.names, block.points.role, strict=True)], bool)
+    of = block.observations
+    counts = np.bincount(of.image[on[of.point]], minlength=len(block.images)).tolist()
+    return frozenset(image.name for image, count in zip(block.images, counts, strict=True) if count >= 3)
 
 
 def fresh(work: Work, image: str, model: str) -> bool:
