@@ -156,7 +156,7 @@ def _spacing(xyz: bytes) -> float:
     return float(np.median(apart.min(axis=1)))
 
 
-NAMES, APART = 300, 0.07
+NAMES, APART = 300, 0.1
 """Names of points drawn at most; of the site's width: how far apart those of many points are."""
 CROWD = 24
 """Points up to which every one is named, however close together."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..adjustment import Dense, Linear, Normal
 from ..cameras import Interior, correct_jacobian, project, project_derivatives
+from ..errors import DegenerateGeometry
 from ..geometry import Exterior, exp, skew
 from .initial import planar_block, pose_of_block, recentring, turned
 
@@ -221,6 +222,9 @@ class Orthogonal:
         left = np.linalg.pinv(flat.T @ weighted, rcond=1e-15) @ weighted.T / scale[:, None]
         noise = np.einsum("una,nab,wnb->uw", left.reshape(6, -1, 2), self.sigma, left.reshape(6, -1, 2))
         gain = left @ jp
+        if not np.isfinite(gain).all():
+            raise DegenerateGeometry("the orthogonal model runs away with this control and has no solution; measure more control "
+                                     "points in the image, or take the perspective model")
         leak = np.eye(6) - gain
         back = np.linalg.pinv(gain)
         return Leak(noise, leak, float(np.abs(np.linalg.eigvals(leak)).max()), back @ noise @ back.T)

@@ -2,20 +2,32 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 import trimesh
 from viser import transforms as tf
 
 from benchmarks.viewer import many_cameras
+from solvers.io import write_project
+from solvers.simulation import large_block
 from viewer_app.export import glb
 from viewer_app.lists import MOST, rows_of
+from viewer_app.loading import open_project
 from viewer_app.paint_viser import _frusta_poses, _quaternions, frustum_pose
 from viewer_app.scene import MANY
-from viewer_app.state import AHEAD, MODELS, measured, wanted
+from viewer_app.state import AHEAD, MODELS, Solution, State, control_seen, measured, wanted
 from viewer_app.tabs import whole_scene
-from viewer_app.values import Frusta, Frustum, frusta_corners, frustum_corners
+from viewer_app.values import Frusta, Frustum, Label, frusta_corners, frustum_corners
+
+
+@pytest.fixture(scope="module")
+def block(tmp_path_factory: pytest.TempPathFactory) -> State:
+    folder = tmp_path_factory.mktemp("large")
+    write_project(large_block(0, images=400, points=2).block, folder)
+    return open_project(folder)
 
 
 def test_two_thousand_images_are_a_few_nodes() -> None:
@@ -56,6 +68,36 @@ def test_little_is_wanted_at_once_and_all_in_the_end() -> None:
     jobs = wanted(state)
     assert len(jobs) <= AHEAD and {j.model for j in jobs} >= {"advice"} - set(MODELS)
     assert sum(measured(state.block).values()) == len(state.block.observations)
+
+
+def test_of_many_images_those_without_control_are_not_tried_until_they_are_chosen(block: State) -> None:
+    state = block
+    control = {n for n, r in zip(state.block.points.names, state.block.points.role, strict=True) if r == "control"}
+    bare = [i.name for i in state.block.images if len(control & set(control_seen(state.block, i.name))) < 3]
+    assert 0 < len(bare) < len(state.block.images) - 10
+    solved = Solution(state.work.revision, error="x")
+    tried: set[str] = set()
+    while jobs := wanted(state):
+        tried |= {j.image for j in jobs}
+        state = replace(state, work=replace(state.work, solutions={**state.work.solutions, **{j.key[:2]: solved for j in jobs}}))
+    assert tried == {i.name for i in state.block.images} - set(bare) | {state.image}
+    other = next(name for name in bare if name != state.image)
+    assert next(r for r in rows_of(state, "images")[0] if r.name == other).values["status"] == "no solution"
+    assert {j.image for j in wanted(replace(state, image=other))} == {other}
+
+
+def test_names_of_many_points_keep_apart_and_the_chosen_one_has_its_own(block: State) -> None:
+    state = block
+
+    def names(state: State) -> dict[str, np.ndarray]:
+        return {p.rsplit("/", 1)[1]: v.position for p, v in whole_scene(state).items() if isinstance(v, Label) and "/names/" in p}
+
+    drawn, known = names(state), {n for n, r in zip(state.block.points.names, state.block.points.role, strict=True) if r != "tie"}
+    at = np.array([v[:2] for n, v in drawn.items() if n in known])
+    apart = np.linalg.norm(at[:, None] - at[None], axis=2) + np.diag(np.full(len(at), np.inf))
+    assert 10 < len(at) < len(known) and apart.min() > 0.09 * np.ptp(at, axis=0).max()
+    silent = next(iter(known - set(drawn)))
+    assert silent in names(replace(state, point=silent))
 
 
 def test_tables_of_many_images_show_the_first() -> None:
