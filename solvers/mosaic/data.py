@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from ..block import Block, Prior
+from ..block import Block, Observations, Prior
 from ..cameras import Interior
 from ..errors import BadProject, DegenerateGeometry
 from ..geometry import Exterior, LocalFrame
@@ -112,6 +112,17 @@ class Data:
                        image=renumber[self.image[rows]], point=self.point[rows], pixels=self.pixels[rows], sigma=self.sigma[rows],
                        gps=self.gps[photos], gps_sigma=self.gps_sigma[photos], reference=int(renumber[self.reference]))
 
+    def without(self, image: np.ndarray, point: np.ndarray, said: Sequence[str]) -> Data:
+        """The same without some marks: of photos image (k,) of points (k,)."""
+        gone, n = image * len(self.xyz) + point, len(self.xyz)
+        rows = ~np.isin(self.image * n + self.point, gone)
+        of, own = self.block.observations, {name: k for k, name in enumerate(self.names)}
+        photo = np.array([own.get(i.name, -1) for i in self.block.images])[of.image]
+        stay = (photo < 0) | ~np.isin(photo * n + of.point, gone)
+        seen = Observations(of.image[stay], of.point[stay], of.pixel[stay], of.sigma[stay])
+        return replace(self, block=replace(self.block, observations=seen), image=self.image[rows], point=self.point[rows],
+                       pixels=self.pixels[rows], sigma=self.sigma[rows], said=(*self.said, *said))
+
     def with_interiors(self, cameras: Mapping[str, Interior]) -> Data:
         """The same with other cameras by name."""
         of = {i.name: i.camera for i in self.block.images}
@@ -205,6 +216,15 @@ def _connected(block: Block, rows: np.ndarray, level: Level) -> tuple[np.ndarray
     shared = (seen @ seen.T).toarray()
     np.fill_diagonal(shared, 0)
     count, label = connected_components(csr_matrix(shared >= LEAST), directed=False)
+    while True:  # a photo may share a few points with each of several others
+        row, column = np.unique(np.stack([label[of.image[rows]], of.point[rows]]), axis=1)
+        of_group = csr_matrix((np.ones(len(row)), (row, column)), shape=(count, len(block.points)))
+        common = (of_group @ of_group.T).toarray()
+        np.fill_diagonal(common, 0)
+        fewer, joined = connected_components(csr_matrix(common >= LEAST), directed=False)
+        if fewer == count:
+            break
+        count, label = fewer, joined[label]
     groups = sorted((np.flatnonzero(label == k) for k in range(count)), key=lambda g: -len(g))
     if not groups or len(groups[0]) < 2:
         raise DegenerateGeometry(f"{block.name}: no two of its {m} photos share {LEAST} tie points; give photos that overlap, or "
@@ -214,7 +234,7 @@ def _connected(block: Block, rows: np.ndarray, level: Level) -> tuple[np.ndarray
     for g in groups[1:]:
         names = [block.images[k].name for k in g]
         if len(g) == 1:
-            most = int(shared[g[0]].max(initial=0))
+            most = int(common[label[g[0]]].max(initial=0))
             unused[names[0]] = (f"it shares {most or 'no'} tie point{'s' * (most != 1)} with the others"
                                 if most < LEAST else "it hangs on no other photo")
             continue

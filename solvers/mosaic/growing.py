@@ -20,6 +20,12 @@ from .problem import Registering
 
 LEAST = {"similarity": 3, "affine": 5, "projective": 6}
 """Points from which on a stage is tried for one photo: more than it needs."""
+COARSE = 0.02
+"""Distance, over c, within which a point agrees with the similarity of a photo: what a little tilt makes."""
+CHANCE = 0.01
+"""How often a photo may join whose agreement is none."""
+RIVALS, SURE = 3, 0.8
+"""Photos of most shared points of which the one with most agreeing ones comes next, unless of the first that many agree."""
 OBLIQUE = 20
 """Points from which on a photo that no similarity explains is tried as one that is tilted far."""
 GENTLE = Options(max_iterations=30, step_tolerance=1e-4, cost_tolerance=1e-10)
@@ -45,69 +51,173 @@ class Lost(NamedTuple):
 
 
 def grow(net: Network, reference: int, h: np.ndarray, stages: Sequence[str] = ("similarity", "affine", "projective"),
-         xy: np.ndarray | None = None) -> Iterator[Step | Lost]:
-    """Steps from a reference photo at h (3, 3): every photo that hangs together with it by points.
+         xy: np.ndarray | None = None, begun: Sequence[Step] = ()) -> Iterator[Step | Lost]:
+    """Steps from a reference photo at h (3, 3), and others that have begun: every photo that hangs together with it by points.
 
     net: observations with a loss; xy (n, 2), NaN where unknown, is filled in place where given. No stages: the similarity that
-    most points agree with is enough (for a start). A photo that agrees with the mosaic in too few of its points is lost (a
-    fifth: where strips meet after a long way round, they disagree among themselves).
+    most points agree with is enough (for a start). Of the photos that could come next that one does with which most points
+    agree; a point that photos see at different places has all of them until they are told apart, so that one wrong mark does
+    not spoil what follows. A photo of whose points no more agree than may do so by chance waits until more of the mosaic is
+    there, and is lost in the end; so is one that agrees in less than a fifth (not fewer: where strips meet after a long way
+    round, they disagree among themselves).
     """
-    xy = np.full((len(net.known), 2), np.nan) if xy is None else xy
-    order = np.argsort(net.image, kind="stable")
-    ends = np.searchsorted(net.image[order], np.arange(len(net.names) + 1))
-    rows = [order[ends[k]:ends[k + 1]] for k in range(len(net.names))]
-    shared = np.zeros(len(net.names), int)
+    mosaic = _Growing(net, None if stages else COARSE)
     left = np.ones(len(net.names), bool)
     tried = np.zeros(len(net.names), int)
-
-    seen = np.zeros(len(xy))
-
-    def place(photo: int, at: np.ndarray) -> None:
-        mine = rows[photo]
-        points = net.point[mine]
-        p, _ = through(np.broadcast_to(np.linalg.inv(at), (len(mine), 3, 3)), net.q[mine])
-        with np.errstate(invalid="ignore"):
-            back = through(np.broadcast_to(at, (len(mine), 3, 3)), xy[points])[0]
-            close = np.linalg.norm((back - net.q[mine]) * net.weight[mine], axis=1) < 20
-        new, ok = ~np.isfinite(xy[points, 0]), np.isfinite(p[:, 0])
-        xy[points[new]], seen[points[new & ok]] = p[new], 1
-        more = points[~new & close & ok]
-        xy[more] += (p[~new & close & ok] - xy[more]) / (seen[more] + 1)[:, None]
-        seen[more] += 1
-        got = np.zeros(len(xy), bool)
-        got[points[new]] = ok[new]
-        shared[:] += np.bincount(net.image[got[net.point]], minlength=len(shared))
-
-    left[reference] = False
-    place(reference, h)
-    yield Step(reference, h, 0, 0, "reference", None)
+    fits: dict[int, tuple[int, Step]] = {}
+    for step in (Step(reference, h, 0, 0, "reference", None), *begun):
+        left[step.photo] = False
+        mosaic.place(step.photo, step.h)
+        yield step
     while left.any():
-        ready = np.flatnonzero(left & (shared >= LEAST["similarity"]) & (shared > tried))
-        if not len(ready):
+        ready = np.flatnonzero(left & (mosaic.shared >= LEAST["similarity"]) & (mosaic.offered > tried))
+        best: Step | None = None
+        for k, photo in enumerate(ready[np.argsort(-mosaic.shared[ready], kind="stable")].tolist()):
+            if best is not None and best.agreeing > (SURE if k < RIVALS else 0.5) * best.points:
+                break
+            news, made = fits.get(photo, (-1, None))
+            if news < mosaic.offered[photo]:
+                made = fit(net, *mosaic.candidates(photo), ())
+            if made is None:
+                tried[photo] = mosaic.offered[photo]  # again when more points are there
+                continue
+            fits[photo] = int(mosaic.offered[photo]), made
+            best = made._replace(photo=photo) if best is None or made.agreeing > best.agreeing else best
+        if best is None:
             break
-        photo = int(ready[np.argmax(shared[ready])])
-        mine = rows[photo]
-        mine = mine[np.isfinite(xy[net.point[mine], 0])]
-        fitted = fit(net, mine, xy[net.point[mine]], stages)
-        if fitted is None:
-            tried[photo] = shared[photo]  # again when more points are there
-            continue
-        left[photo] = False
-        place(photo, fitted.h)
-        yield fitted._replace(photo=photo)
+        if stages:
+            best = (fit(net, *mosaic.candidates(best.photo), stages) or best)._replace(photo=best.photo)
+        left[best.photo] = False
+        mosaic.place(best.photo, best.h)
+        yield best
+    if xy is not None:
+        xy[:] = mosaic.places()
     for photo in np.flatnonzero(left):
-        n = int(shared[photo])
+        n = int(mosaic.shared[photo])
         yield Lost(int(photo), f"its {n} points do not agree with the rest of the mosaic: it shows another scene or stage, or is "
                    "tilted so much that its horizon is near" if n >= LEAST["similarity"] else
                    f"it shares {n or 'no'} point{'s' * (n != 1)} with the rest of the mosaic")
 
 
+class _Growing:
+    """What is on the mosaic. A place of a point is kept at the observation that said it first: at (o, 2), with the number of
+    photos that agree, count (o,). shared (m,): points of each photo that are there; offered (m,): how often that changed."""
+
+    def __init__(self, net: Network, reach: float | None) -> None:
+        self.net, self.reach = net, reach
+        self.at, self.count = np.full((len(net.image), 2), np.nan), np.zeros(len(net.image))
+        self.shared, self.offered = np.zeros(len(net.names), int), np.zeros(len(net.names), int)
+        self.there = np.zeros(len(net.known), bool)
+        order = np.argsort(net.image, kind="stable")
+        self.rows = np.split(order, np.searchsorted(net.image[order], np.arange(1, len(net.names))))
+
+    def _pairs(self, photo: int) -> tuple[np.ndarray, np.ndarray]:
+        """Observations (k,) of a photo and places (k,) that their points have."""
+        net, mine = self.net, self.rows[photo]
+        first, rays = net.start[net.point[mine]], net.rays[net.point[mine]]
+        own = np.repeat(mine, rays)
+        place = np.repeat(first - np.concatenate([[0], np.cumsum(rays)[:-1]]), rays) + np.arange(len(own))
+        ok = self.count[place] > 0
+        return own[ok], place[ok]
+
+    def candidates(self, photo: int) -> tuple[np.ndarray, np.ndarray]:
+        """Observations (k,) of a photo, once for every place that its point has, and these (k, 2)."""
+        own, place = self._pairs(photo)
+        return own, self.at[place]
+
+    def place(self, photo: int, h: np.ndarray) -> None:
+        """A photo at h: its observations go to the mean of the place they agree with, or say another one."""
+        net, mine = self.net, self.rows[photo]
+        at = np.full((len(net.image), 2), np.nan)
+        at[mine] = through(np.broadcast_to(np.linalg.inv(h), (len(mine), 3, 3)), net.q[mine])[0]
+        own, place = self._pairs(photo)
+        d = through(np.broadcast_to(h, (len(own), 3, 3)), self.at[place])[0] - net.q[own]
+        off = np.linalg.norm(d * net.weight[own], axis=1) / 20 if self.reach is None else np.linalg.norm(d, axis=1) / self.reach
+        order = np.lexsort((off, own))
+        order = order[np.concatenate([[True], np.diff(own[order]) > 0])[:len(order)]]  # the nearest place of each
+        order = order[(off[order] < 1) & np.isfinite(at[own[order], 0])]
+        own, place = own[order], place[order]
+        self.at[place] += (at[own] - self.at[place]) / (self.count[place] + 1)[:, None]
+        self.count[place] += 1
+        new = np.setdiff1d(mine[np.isfinite(at[mine, 0])], own)
+        self.at[new], self.count[new] = at[new], 1
+        changed = np.zeros(len(net.known), bool)
+        changed[net.point[mine]] = True
+        self.offered += np.bincount(net.image[changed[net.point]], minlength=len(self.offered))
+        fresh = np.zeros(len(net.known), bool)
+        fresh[net.point[new]] = True
+        fresh &= ~self.there
+        self.there |= fresh
+        self.shared += np.bincount(net.image[fresh[net.point]], minlength=len(self.shared))
+
+    def places(self) -> np.ndarray:
+        """(n, 2) of each point the place that most photos agree with, NaN where there is none."""
+        out = np.full((len(self.net.known), 2), np.nan)
+        order = np.argsort(self.count, kind="stable")
+        order = order[self.count[order] > 0]
+        out[self.net.point[order]] = self.at[order]
+        return out
+
+
+def grow_groups(net: Network, reference: int, h: np.ndarray, stages: Sequence[str],
+                xy: np.ndarray) -> tuple[list[Step], list[Lost]]:
+    """As `grow`; where it ends, what is left grows by itself and joins as a whole: each of its photos may share too little with
+    the mosaic, all of them together enough. xy (n, 2) is filled in place."""
+    begun: list[Step] = []
+    while True:
+        made = list(grow(net, reference, h, stages, xy, begun))
+        steps, lost = [s for s in made if isinstance(s, Step)], [s for s in made if isinstance(s, Lost)]
+        group = _group(net, [s.photo for s in lost], stages, xy) if len(steps) > 1 else []
+        if not group:
+            return steps, lost
+        begun = [*steps[1:], *group]
+
+
+def _group(net: Network, photos: Sequence[int], stages: Sequence[str], xy: np.ndarray) -> list[Step]:
+    """The first group of photos, of two and more, that together agree with the points' places xy (n, 2) on the mosaic."""
+    left, h = set(photos), np.eye(3)
+    while len(left) > 1:
+        some = net.keeping(np.isin(net.image, list(left)))
+        shared = np.bincount(some.image[some.rays[some.point] >= 2], minlength=len(net.names))
+        start, own = int(np.argmax(shared)), np.full_like(xy, np.nan)
+        if not shared[start]:
+            break
+        steps = [s for s in grow(some, start, h, stages, own) if isinstance(s, Step)]
+        common = np.flatnonzero(np.isfinite(own[:, 0]) & np.isfinite(xy[:, 0]))
+        if len(steps) > 1 and len(common) >= LEAST["similarity"] + 1:
+            onto, agree = consensus(xy[common], own[common], 2 * COARSE)
+            many = int(agree.sum())
+            if many > LEAST["similarity"] and (many == len(common) or chance(len(common), many, _share(own[common])) < CHANCE):
+                return [s._replace(h=s.h @ onto, points=len(common), agreeing=many) if s.photo == start else
+                        s._replace(h=s.h @ onto) for s in steps]
+        left -= {s.photo for s in steps}
+    return []
+
+
+def _share(q: np.ndarray) -> float:
+    """What part of the ground of points q (k, 2), over c, a place is within which points agree; twice that, to be safe."""
+    return min(0.05, 2 * np.pi * COARSE**2 / max(float(np.prod(np.ptp(q, axis=0))), 1e-12))
+
+
+def chance(points: int, agreeing: int, share: float = 0.01) -> float:
+    """How often so many of some points agree with a similarity through two of them by chance, were all of them wrong and spread
+    over a ground of which a place takes `share`.
+
+    Reference: Moisan, Moulon & Monasse 2012 (a contrario RANSAC).
+    """
+    from scipy.stats import binom
+
+    return points * (points - 1) / 2 * float(binom.sf(agreeing - 3, points - 2, share))
+
+
 def fit(net: Network, rows: np.ndarray, xy: np.ndarray, stages: Sequence[str]) -> Step | None:
     """One photo onto known points xy (k, 2) by its observations `rows`; None where too few of them agree."""
-    start, agree = consensus(xy, net.q[rows], 0.02)
-    if agree.mean() < 0.6 and len(rows) >= OBLIQUE:
+    start, agree = consensus(xy, net.q[rows], COARSE)
+    points = len(np.unique(rows))
+    if agree.sum() < 0.6 * points and points >= OBLIQUE:
         start, agree = _oblique(xy, net.q[rows], start, agree)
-    if agree.sum() < max(LEAST["similarity"], min(len(rows), max(6, len(rows) // 5))):
+    many = len(np.unique(rows[agree]))
+    if many < max(LEAST["similarity"], points // 5) or (many < points and chance(points, many, _share(net.q)) > CHANCE):
         return None
     one = Network(("photo",), np.zeros(len(rows), int), np.arange(len(rows)), net.q[rows], net.weight[rows], xy,
                   np.zeros((len(rows), 2)), np.zeros(len(rows)), np.zeros(1, bool), net.loss)
@@ -126,7 +236,7 @@ def fit(net: Network, rows: np.ndarray, xy: np.ndarray, stages: Sequence[str]) -
         h, trace, last = g, found, stage
         off = np.linalg.norm((net.q[rows] - p) * net.weight[rows], axis=1)
         use = np.nan_to_num(off, nan=np.inf) < max(6.0, 4 * float(np.median(off[use])))
-    return Step(0, h, len(rows), int(use.sum()), last, trace)
+    return Step(0, h, points, len(np.unique(rows[use])), last, trace)
 
 
 def _oblique(xy: np.ndarray, q: np.ndarray, start: np.ndarray, agree: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -181,4 +291,4 @@ def bounding_box(steps: Sequence[np.ndarray], q: Sequence[np.ndarray]) -> np.nda
     return np.concatenate([np.nanmin(at, axis=0), np.nanmax(at, axis=0)])
 
 
-__all__ = ["Lost", "Model", "Step", "bounding_box", "consensus", "fit", "grow"]
+__all__ = ["Lost", "Model", "Step", "bounding_box", "chance", "consensus", "fit", "grow", "grow_groups"]

@@ -19,7 +19,8 @@ from .bent_precision import bent_precision
 from .checks import check_ties, discrepancies
 from .data import Data, data_of
 from .georeferencing import Placing, placing_of, plane_at
-from .growing import Lost, Step, bounding_box, grow
+from .growing import Step, bounding_box, grow_groups
+from .links import without_false_links
 from .models import Coefficients, Exteriors, tangent, through
 from .network import Network
 from .precision import GRID, Response
@@ -58,7 +59,7 @@ def register(block: Block, request: RegistrationRequest | None = None, bundle: B
     together or nothing is determined.
     """
     request = request or RegistrationRequest()
-    data = data_of(block, request.level, request.reference)
+    data = without_false_links(data_of(block, request.level, request.reference))
     out = _sequential(data, request) if request.method == "sequential" else _simultaneous(data, request, bundle)
     if isinstance(out, Registration):
         return out
@@ -105,15 +106,11 @@ def _sequential(data: Data, request: RegistrationRequest) -> Registration | Plac
 
 def _grown(data: Data, net: Network, stages: tuple[str, ...]) -> tuple[list[Step], dict[str, str], np.ndarray]:
     """Steps from the reference photo, the photos that could not join with the reason, and the points' places."""
-    steps: list[Step] = []
-    lost = dict(data.unused)
+    lost, c = dict(data.unused), data.scale[data.reference]
     xy = np.full((len(net.known), 2), np.nan)
-    c = data.scale[data.reference]
-    for step in grow(net, data.reference, np.diag([1 / c, 1 / c, 1.0]), stages, xy):
-        if isinstance(step, Lost):
-            lost.setdefault(net.names[step.photo], step.why)
-        else:
-            steps.append(step)
+    steps, strangers = grow_groups(net, data.reference, np.diag([1 / c, 1 / c, 1.0]), stages, xy)
+    for photo, why in strangers:
+        lost.setdefault(net.names[photo], why)
     if len(steps) < 2:
         raise DegenerateGeometry(f"{data.block.name}: no photo overlaps '{net.names[data.reference]}' in enough common points; "
                                  "give photos that overlap, or find more tie points")

@@ -205,6 +205,50 @@ def test_blunders_in_the_tie_points_do_not_matter():
     assert not r.unused and np.nanmedian(off) < 0.4
 
 
+def low_texture(rows=2, columns=15, *, seed, wrong, drop, false=0):
+    """A few marks a photo, some of them wrong, and pairs of far photos that share twelve false points."""
+    rng = np.random.default_rng(seed)
+    block, poses, _ = flight(rows, columns, per=16, step=(32.0, 75.0), seed=seed)
+    of = block.observations
+    keep = rng.random(len(of)) >= drop
+    image, point, pixel = of.image[keep], of.point[keep], of.pixel[keep].copy()
+    bad = rng.random(len(image)) < wrong
+    pixel[bad] += rng.normal(0, 110, (int(bad.sum()), 2))
+    n, pairs = len(block.points), [(int(k), int(k) + 8) for k in rng.permutation(columns - 8)[:false]]
+    for a, b in pairs:
+        turn, u = rng.uniform(0, 6), rng.uniform(-350, 350, (12, 2))
+        c, s = np.cos(turn), np.sin(turn)
+        image = np.concatenate([image, np.full(12, a), np.full(12, b)])
+        point = np.concatenate([point, n + np.arange(12), n + np.arange(12)])
+        pixel = np.vstack([pixel, u + np.array([750, 500]), u @ np.array([[c, s], [-s, c]]) + np.array([740, 480])])
+        n += 12
+    unknown = np.full((n, 3), np.nan)
+    names = tuple(f"t{k}" for k in range(n))
+    return replace(block, points=Points(names, unknown, unknown.copy(), ("tie",) * n),
+                   observations=Observations(image, point, pixel, np.full(len(image), 0.2))), poses, pairs
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_quarter_of_wrong_marks_on_few_points_loses_no_photo(seed):
+    block, poses, _ = low_texture(seed=seed, wrong=0.25, drop=0.35)
+    r = register(block)
+    assert len(r.names) >= 29, dict(r.unused)
+    seen = [r.frame.to_map(np.append(r.on_plane(k, CAMERA.pixels(np.zeros(2))), r.plane[0]))[:2] for k in range(len(r.names))]
+    truth = [project_down(poses[int(n[1:])]) for n in r.names]
+    assert np.median(np.linalg.norm(np.array(seen) - truth, axis=1)) < 1.5
+    assert any("wrong matches" in w for w in r.warnings)
+
+
+def test_false_links_between_far_photos_are_named_and_bend_nothing():
+    block, poses, pairs = low_texture(seed=4, wrong=0.05, drop=0.2, false=4)
+    r = register(block)
+    assert len(r.names) == 30
+    said = next(w for w in r.warnings if "agree with no other photo" in w)
+    assert "4 pair(s)" in said and all(f"'p{a}' and 'p{b}' (12 points)" in said for a, b in pairs)
+    seen = [r.frame.to_map(np.append(r.on_plane(k, CAMERA.pixels(np.zeros(2))), r.plane[0]))[:2] for k in range(30)]
+    assert np.abs(np.array(seen) - [project_down(p) for p in poses]).max() < 2
+
+
 def test_a_photo_of_another_flight_and_a_separate_group_are_named():
     block, *_ = flight()
     of = block.observations
