@@ -129,7 +129,7 @@ def placing_of(data: Data, h: np.ndarray, found: Found | None, plane: float | st
     by_gps = exterior and len(placed) >= 2 and (data.level == "semicontrolled" or len(control) < 3 or bool(data.whole))
     controlled = len(control) >= 2 or by_gps
     datum = ("both" if by_gps else "control") if len(control) >= 3 else "prior"
-    if not exterior and len(control) < 2:
+    if found is None and len(control) < 2:
         said.append("onboard positions scale, turn and shift the mosaic; with plane coefficients they do not stop its drift")
     return Placing(data, scale, turn, shift, np.array([height, 0.0, 0.0]), "m", data.frame, controlled, by_gps, datum,
                    scale * pixel, tuple(said), wrong,

@@ -87,7 +87,7 @@ class Response:
         """(m, s, k) the photos' tangent steps by k sets of errors (o, 2, k) of observations [their sigmas]."""
         net, (made, reduced) = self.problem.network, self._made
         s, k = self.problem.model.size, errors.shape[2]
-        e = errors * self._robust
+        e = errors * self.robust
         e = e - made.b @ self._points(e)[net.point]
         rows = np.flatnonzero(made.node >= 0)
         g = _summed(np.einsum("oea,oek->oak", made.a[rows], e[rows]), made.node[rows], len(net.live))
@@ -95,11 +95,18 @@ class Response:
         out[net.live] = reduced.factor.solve(g.reshape(-1, k)).reshape(-1, s, k)
         return out
 
+    def by_right(self, right: np.ndarray) -> np.ndarray:
+        """(m, s, k) the photos' tangent steps by right sides (m, s, k) of their own, of priors that err."""
+        net, s = self.problem.network, self.problem.model.size
+        out = np.zeros(right.shape)
+        out[net.live] = self._made[1].factor.solve(right[net.live].reshape(-1, right.shape[2])).reshape(-1, s, right.shape[2])
+        return out
+
     def left(self, errors: np.ndarray, steps: np.ndarray) -> np.ndarray:
         """(o, 2, k) what is left of errors (o, 2, k) when the photos took their steps (m, s, k) and the points theirs."""
         made = self._made[0]
-        e = errors * self._robust - made.a @ steps[self.problem.network.image]
-        return (e - made.b @ self._points(e)[self.problem.network.point]) / self._robust
+        e = errors * self.robust - made.a @ steps[self.problem.network.image]
+        return (e - made.b @ self._points(e)[self.problem.network.point]) / self.robust
 
     def _points(self, e: np.ndarray) -> np.ndarray:
         """(n, 2, k) steps of the points alone by weighted errors (o, 2, k)."""
@@ -107,7 +114,7 @@ class Response:
         return _inverse(made.v, 0.0) @ _summed(np.einsum("oea,oek->oak", made.b, e), net.point, len(net.known))
 
     @cached_property
-    def _robust(self) -> np.ndarray:
+    def robust(self) -> np.ndarray:
         """(o, 1, 1) square roots of the weights that the loss leaves."""
         net = self.problem.network
         if not net.loss:

@@ -23,6 +23,7 @@ from .growing import Step, bounding_box, grow_groups
 from .links import without_false_links
 from .models import Coefficients, Exteriors, tangent, through
 from .network import Network
+from .onboard import held_by_positions, held_precision
 from .precision import GRID, Response
 from .problem import Registering, ShapePriors
 from .registration import Level, Method, Registration
@@ -147,7 +148,7 @@ def _simultaneous(data: Data, request: RegistrationRequest, bundle: BundleSolver
     if place.controlled:
         place, found = _placed(data, place, found, request)
     elif data.level != "uncontrolled":
-        found = _moved(place, found)
+        found = held_by_positions(place.data, place.data.network(request.loss), _moved(place, found))
     sure, bends = found, None  # what judges the precision
     if model == "adapted":
         found, bends = _adapted(place.data, found, place.data.network(request.loss, control=place.controlled,
@@ -310,7 +311,12 @@ def _concluded(data: Data, request: RegistrationRequest, model: str, found: Foun
         factor = max(1.0, spread(sure.problem, sure.x))
         try:
             covariance, noise = response.covariance * factor**2, response.noise() * factor
-            if model == "adapted":
+            if isinstance(sure.problem.priors, ShapePriors):  # coefficients held by positions: their weights have the factor
+                factor = float(np.median(data.network(request.loss).weight / sure.problem.network.weight))
+                held = held_precision(response, factor, data.scale)
+                covariance, noise = held.covariance, held.noise
+                said.append(held.said(place.unit))
+            elif model == "adapted":
                 near = Response(found.problem, found.x, data.half)
                 if bends is None:
                     covariance = _as_coefficients(response, covariance) + near.covariance
