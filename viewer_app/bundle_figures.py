@@ -12,7 +12,6 @@ from .bundle_rows import Misfit, image_number, misfit
 from .bundle_state import Bundle
 from .bundle_values import Layout
 from .kept import by_identity
-from .memo import remembered
 from .state import State
 
 BINS = 10
@@ -86,7 +85,7 @@ def _interiors(layout: Layout, row: object) -> tuple[Interior, ...]:
     return layout.interiors_at(row.x)  # type: ignore[attr-defined]
 
 
-@remembered(4)
+@by_identity(4)
 def _figures(layout: Layout, of: Misfit, interior: Interior, camera: int) -> tuple[Profile, Field]:
     rows = np.flatnonzero((layout.camera_of[of.image] == camera) & np.isfinite(of.v).all(axis=1))
     return profile(interior, of.pixel[rows], of.v[rows]), field(interior, of.pixel[rows], of.v[rows])

@@ -16,7 +16,6 @@ from .bundle_values import Judged, Layout
 from .ground import nice, site, symbol_size
 from .kept import by_identity
 from .matching_scene import RAYS, SCALE, UNKNOWN
-from .memo import remembered
 from .scene import CHI_95, MANY, pale
 from .state import State
 from .theme import Colour
@@ -186,7 +185,7 @@ def _dot(state: State, count: int) -> float:
     return symbol_size(state) * (0.7 if count <= 500 else 0.4 if count <= 20_000 else 0.2)
 
 
-@remembered(4)
+@by_identity(4)
 def point_colours(layout: Layout, block: Block, of: Misfit | None, by: str, end: float) -> np.ndarray:
     """Colours (n, 3) uint8 of the points."""
     unknown = np.tile(np.array(UNKNOWN, np.uint8), (len(layout.points), 1))

@@ -8,8 +8,8 @@ from solvers import Block
 
 from . import theme
 from .ground import nice, symbol_size
+from .kept import by_identity
 from .matching_state import COLOURS, Matching, Network
-from .memo import remembered
 from .scene import frustum_depth
 from .sighting import prior
 from .state import MODELS, State
@@ -28,7 +28,7 @@ def tie_colours(state: State) -> dict[int, Colour]:
     return _colours(state.block, state.room(Matching).network, state.room(Matching).colour)
 
 
-@remembered()
+@by_identity(4)
 def _colours(block: Block, network: Network | None, by: str) -> dict[int, Colour]:
     if by not in COLOURS or by == "none":
         return {}
@@ -83,7 +83,7 @@ def scene(state: State) -> Scene:
     return found
 
 
-@remembered(2)
+@by_identity(2)
 def _depth(network: Network) -> float:
     """Depth (m) at which image planes are drawn: a twelfth of the way to the tie points."""
     if not len(network.xyz) or not network.exteriors:
@@ -92,7 +92,7 @@ def _depth(network: Network) -> float:
     return nice(max(0.08 * float(np.median([np.linalg.norm(e.centre - middle) for e in network.exteriors.values()])), 1e-3))
 
 
-@remembered()
+@by_identity(4)
 def _cloud(block: Block, network: Network, by: str) -> tuple[np.ndarray, np.ndarray] | None:
     """Positions (n, 3) m and colours (n, 3) uint8 of the tie points placed, None where none is to be drawn."""
     colours = _colours(block, network, by)

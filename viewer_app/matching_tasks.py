@@ -15,10 +15,10 @@ from solvers.orientation import Plane
 from solvers.workflows_conjugate import common_points
 
 from .acting import Action
+from .kept import by_identity
 from .matching_actions import Matched, Placed, Tied, Working
 from .matching_state import Ask, Found, Matching, Network
 from .matching_work import Setting, Sight, adjust_work, match_work, ties_work
-from .memo import remembered
 from .sighting import view_of
 from .spots import ground_of
 from .state import State
@@ -106,7 +106,7 @@ def _ground(state: State) -> Plane | Surface | None:
     return None if network is None or not len(network.xyz) else _plane(network, state.assets.frame)
 
 
-@remembered(2)
+@by_identity(2)
 def _plane(network: Network, frame: LocalFrame) -> Plane:
     heights = frame.to_map(network.xyz)[:, 2]
     middle = float(np.median(heights))

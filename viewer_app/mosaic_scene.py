@@ -11,7 +11,7 @@ from solvers.mosaic.measured import Measured
 
 from . import theme
 from .ground import nice, site, symbol_size
-from .memo import remembered
+from .kept import by_identity
 from .mosaic_place import scale_of, to_scene
 from .mosaic_state import EXAGGERATIONS, METHODS, Layer, Made, Mosaic, Tile
 from .state import State
@@ -173,7 +173,7 @@ def _on_plane(r: Registration, xy: np.ndarray) -> np.ndarray:
 # -- lines --------------------------------------------------------------------------------------------------------------------
 
 
-@remembered(64)
+@by_identity(64)
 def outlines(r: Registration, row: int) -> tuple[tuple[str, ...], np.ndarray]:
     """Names and corners (n, 4, 2) of the photos' outlines at a row of the trace, laid on the final mosaic by a similarity where
     the row was computed in another datum; photos not placed yet are left out."""
@@ -250,7 +250,7 @@ def _thumbnails(state: State, made: Made, row: int) -> Scene:
     return found
 
 
-@remembered(160)
+@by_identity(160)
 def _warped(thumbnail: np.ndarray, corners: bytes) -> tuple[np.ndarray, np.ndarray] | None:
     """A photo on a raster north up, (h, w, 4) uint8, and the raster's corners (4, 2); its own corners are given as bytes."""
     import cv2
@@ -281,7 +281,7 @@ def drift(room: Mosaic) -> Drift | None:
     return _between(room.made["simultaneous"].registration, room.made["sequential"].registration)
 
 
-@remembered(4)
+@by_identity(4)
 def _between(sure: Registration, other: Registration) -> Drift | None:
     if sure.unit != other.unit or not np.array_equal(sure.frame.origin, other.frame.origin):
         return None
@@ -369,7 +369,7 @@ def _scale(state: State, made: Made, factor: float, name: str, what: str, line: 
 # -- measuring ----------------------------------------------------------------------------------------------------------------
 
 
-@remembered(16)
+@by_identity(16)
 def _measured(r: Registration, places: bytes) -> Measured:
     return measure(r, np.frombuffer(places).reshape(-1, 2))
 

@@ -13,7 +13,7 @@ from solvers.geometry import Grid, LocalFrame
 from solvers.mosaic import Registration
 from solvers.workflows_mosaic import Offsets
 
-from .memo import remembered
+from .kept import by_identity
 from .state import State
 
 METHODS = ("simultaneous", "sequential")
@@ -151,7 +151,7 @@ def block_of(state: State) -> Block:
     return _without(state.block, state.work.off) if state.work.off else state.block
 
 
-@remembered(8)
+@by_identity(8)
 def _without(block: Block, off: frozenset[str]) -> Block:
     roles = tuple(
         "check" if n in off and r == "control" else r for n, r in zip(block.points.names, block.points.role, strict=True)

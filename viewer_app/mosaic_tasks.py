@@ -11,8 +11,8 @@ from solvers.io.photos import surface_path
 from solvers.workflows_mosaic import has_ties
 
 from .acting import Action
+from .kept import by_identity
 from .matching_work import ties_work
-from .memo import remembered
 from .mosaic_actions import Ended, LayerCame, Progressing, Registered, TiesFound, TilesCame
 from .mosaic_layer import layer_work
 from .mosaic_state import METHODS, Ask, Layer, Made, Mosaic, block_of
@@ -59,12 +59,12 @@ def _fresh(room: Mosaic, method: str, block: Block) -> bool:
     return made is not None and made.done and made.block is block and made.ask == room.wanted[method]
 
 
-@remembered(8)
+@by_identity(8)
 def _tied(block: Block) -> bool:
     return has_ties(block)
 
 
-@remembered(8)
+@by_identity(8)
 def files_of(folder: Path, block: Block) -> dict[str, Path]:
     """The photo of every image that has one."""
     found = {}

@@ -16,6 +16,7 @@ from tests.viewer.conftest import make_state
 from tests.viewer.photo_project import conjugate, make_project
 from tests.viewer.test_actions import solve_all
 from viewer_app.actions import Redo, Undo, update
+from viewer_app.kept import by_identity
 from viewer_app.loading import bring, open_project
 from viewer_app.matching_actions import (
     Accept,
@@ -39,7 +40,6 @@ from viewer_app.matching_scene import RAYS, scene, tie_colours
 from viewer_app.matching_state import Matching
 from viewer_app.matching_tasks import tasks
 from viewer_app.matching_work import adjust_work, features_of, ties_work
-from viewer_app.memo import remembered
 from viewer_app.pyramid import Pyramid
 from viewer_app.sighting import view_of, where
 from viewer_app.state import State
@@ -278,7 +278,7 @@ def test_a_pyramid_gives_what_there_is_and_reads_what_is_wanted(wall: State) -> 
 def test_results_are_remembered_by_identity() -> None:
     calls: list[int] = []
 
-    @remembered(2)
+    @by_identity(2)
     def double(values: list[int], word: str) -> int:
         calls.append(1)
         return 2 * sum(values)

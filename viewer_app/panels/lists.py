@@ -61,12 +61,17 @@ class ImagesPanel:
         self._thumbs = Html(gui)  # the pictures, sent once
         self._images = Html(gui)
         self._orientations = Html(gui)
+        self._shows: tuple[Any, ...] | None = None
         for label, name in (("Images as CSV", "images"), ("Orientations as CSV", "orientations")):
             button = gui.add_button(label, hint="Download the table as shown; metres, degrees and pixels.", color="gray")
             button.on_click(lambda event, name=name: download(desk, event.client, name))
 
     def draw(self, state: State) -> None:
         self._thumbs.set(thumbnails_css(state))
+        shows = state.work, state.held, state.image, state.room(Tables)
+        if self._shows is not None and shows[0] is self._shows[0] and shows[1:] == self._shows[1:]:
+            return  # hundreds of rows that would be the same
+        self._shows = shows
         count = f"<div><b>{len(state.block.images)} images</b></div>"
         wire = self._desk.wire
         self._images.set(f"<div {BOX}>{count}{table_html(state, 'images', wire)}</div>")

@@ -8,10 +8,10 @@ from solvers import Block
 
 from .. import theme
 from ..bridge import Wire
+from ..kept import by_identity
 from ..matching_actions import whole
 from ..matching_scene import tie_colours
 from ..matching_state import ASPECT, SIDES, Found, Look, Matching
-from ..memo import remembered
 from ..pyramid import Piece, Pyramid
 from ..state import State
 from ..theme import Colour
@@ -149,7 +149,7 @@ def ring(col: float, row: float, radius: float, colour: Colour, width: float, na
     )
 
 
-@remembered(8)
+@by_identity(8)
 def _in_view(block: Block, image: str, x: float, y: float, w: float, h: float) -> tuple[int, ...]:
     """Rows of the observations of a photo within a box, evenly thinned where there are very many."""
     of = block.observations
