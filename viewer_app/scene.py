@@ -102,8 +102,10 @@ def _many(state: State, depth: float) -> Scene:
 @by_identity(4)
 def _half(block: Block) -> np.ndarray:
     """Tangents (n, 2) of half the angles of view of every image."""
-    cameras = {name: np.array([c.width * c.pitch[0], c.height * c.pitch[1]]) / 2 / c.c for name, c in block.cameras.items()}
-    return np.array([cameras[image.camera] for image in block.images])
+    cameras = np.array([(c.width * c.pitch[0], c.height * c.pitch[1]) for c in block.cameras.values()])
+    cameras /= 2 * np.array([c.c for c in block.cameras.values()])[:, None]
+    number = {name: k for k, name in enumerate(block.cameras)}
+    return cameras[np.fromiter((number[image.camera] for image in block.images), int, len(block.images))]
 
 
 @lru_cache(maxsize=4)
