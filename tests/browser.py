@@ -233,7 +233,7 @@ class ViserPage:
 
     def dismiss_notifications(self) -> None:
         """Close what lies over the canvas, such as the offer of a file."""
-        close = self.page.locator("[role=alert] button")
+        close = self.page.locator("[role=alert] .mantine-Notification-closeButton")  # other buttons hand files over
 
         def none_left() -> bool:
             if close.count():
