@@ -13,7 +13,6 @@ from numba import njit
 F32 = np.float32
 ONE, TWO, THREE, FOUR = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
 ORIGIN = 96  # px, the local frame starts this far before the start pixel
-SHAPE = 0.05  # standard deviation of shaping parameters that are held, where nothing else tells it
 RIVALS = 5  # other peaks kept for each correlation
 FAST = {"contract", "reassoc", "arcp", "nsz"}  # NaN keeps its meaning: it marks pixels without data
 
@@ -355,16 +354,16 @@ def _choose(normal, variance, gain, half, keep, cofactor):
 
 
 @helper
-def _held(normal, cofactor, keep, variance, start, result):
+def _held(normal, cofactor, keep, variance, doubt, start, result):
     """Add to the covariance what the shaping parameters that are held would move the point, were they off as the others were.
 
-    How far those have come from their start, in the template's axes and beyond their own noise, tells how well it was known.
+    That is `doubt`, a variance, or how far those have come from their start, in the template's axes and beyond their own noise.
     """
     det = start[0, 0] * start[1, 1] - start[0, 1] * start[1, 0]
     i11, i12, i21, i22 = start[1, 1] / det, -start[0, 1] / det, -start[1, 0] / det, start[0, 0] / det
     a11, a12, a21, a22 = result[2], result[3], result[4], result[5]
     moved = (i11 * a11 + i12 * a21 - 1, i11 * a12 + i12 * a22, i21 * a11 + i22 * a21, i21 * a12 + i22 * a22 - 1)
-    total, count = SHAPE * SHAPE, 1
+    total, count = doubt, 1
     for k in range(4):
         p = k + 1 + k // 2
         if keep[p]:
@@ -372,6 +371,8 @@ def _held(normal, cofactor, keep, variance, start, result):
             count += 1
     if count == 5:
         return
+    # Those that came no distance prove nothing: of a dot that turns about itself they may be held by the one that is held.
+    expected = max(doubt, total / count)
     for k in range(4):
         p = k + 1 + k // 2
         if not keep[p]:
@@ -381,9 +382,9 @@ def _held(normal, cofactor, keep, variance, start, result):
                     x += cofactor[0, q] * normal[q, p]
                     y += cofactor[3, q] * normal[q, p]
             dx, dy = a11 * x + a12 * y, a21 * x + a22 * y
-            result[9] += total / count * dx * dx
-            result[10] += total / count * dx * dy
-            result[11] += total / count * dy * dy
+            result[9] += expected * dx * dx
+            result[10] += expected * dx * dy
+            result[11] += expected * dy * dy
 
 
 @helper
@@ -413,7 +414,7 @@ def match_batch(template, target, at, start, shape, half, taps, extra, noise, li
     template, target: spline coefficients; at, start (N, 2) col, row; shape (N, 2, 2) template -> target offsets.
     taps: the node values' smoothing kernel; noise: energies of white noise
     (value, slope, laplacian, value after extra, smoothed slope) and the floor of its variance.
-    limits: iterations, step px, largest sigma px, least score, largest move px.
+    limits: iterations, step px, largest sigma px, least score, largest move px, variance of shaping parameters that are held.
     out (N, 16): col, row, a11, a12, a21, a22, r0, r1, score, vxx, vxy, vyy, noise, iterations, kept (bits),
     status.
     """
@@ -589,7 +590,7 @@ def match_batch(template, target, at, start, shape, half, taps, extra, noise, li
         result[9] = variance * (a11 * a11 * q_xx + 2 * a11 * a12 * q_xy + a12 * a12 * q_yy)
         result[10] = variance * (a11 * a21 * q_xx + (a11 * a22 + a12 * a21) * q_xy + a12 * a22 * q_yy)
         result[11] = variance * (a21 * a21 * q_xx + 2 * a21 * a22 * q_xy + a22 * a22 * q_yy)
-        _held(clean, inverse, keep, variance, shape[index], result)
+        _held(clean, inverse, keep, variance, limits[5], shape[index], result)
         _slow(dx, dy, before, result)
         middle, gap = 0.5 * (result[9] + result[11]), math.hypot(0.5 * (result[9] - result[11]), result[10])
         # Where noise has nearly the slope of the texture, what is taken off for it leaves no covariance at all.

@@ -16,6 +16,9 @@ _SCORE, _ITERATIONS, _KEPT, _STATUS = 8, 13, 14, 15  # columns of the compiled b
 _PEAK_MOVE = 4.0  # px, a correlation's peak is never farther from the place
 _MISLED = (Status.LOW_SCORE, Status.AT_BORDER, Status.DIVERGED, Status.NOT_CONVERGED)
 _AWAY = 2.0  # px, a correlation's peak is another place than the adjusted one beyond that
+_ALL = 63  # bits of the six geometric parameters
+_SHAPE = 0.05  # standard deviation of shaping parameters that are held, where nothing else tells it
+_TELLING = 10  # points that determine their shape tell how far off the shapes of others are
 _CLEAR = 3.0  # times its residual variance, that others leave, make a place unique although not all others are adjusted
 
 
@@ -43,7 +46,8 @@ def match_lsm(template_image: np.ndarray | Photo, target_image: np.ndarray | Pho
 
     f(x0, y0) = r0 + (1 + r1) g(a1 + a2 x0 + a3 y0, b1 + b2 x0 + b3 y0), solved by inverse composition (the design matrix
     is the template's); shaping parameters that a window cannot determine are dropped. The covariance passes white pixel
-    noise, of both images, through smoothing and solution and removes what noise adds to the normal matrix.
+    noise, of both images, through smoothing and solution and removes what noise adds to the normal matrix; where shaping
+    parameters are dropped it allows for their being off by 0.05, or by as much as those of the other points together are.
 
     Raises Unsupported for nonsense input. Reference: Gruen 1985; Baker & Matthews 2004 (inverse composition).
     """
@@ -146,16 +150,36 @@ def _adjust(template: Photo, target: Photo, at: np.ndarray, start: np.ndarray, m
     gains = smoothing(template.smooth)
     quantum = max(template.quantum, target.quantum)
     noise = (gains.value, gains.slope, gains.laplacian, gains.extra_value, gains.spread, quantum**2 / 12)
-    limits = (options.max_iterations, options.step, options.max_sigma, options.min_score, options.max_move)
     out = np.empty((len(at), 16))
 
-    def kernel(part: slice) -> None:
-        match_batch(template.coefficients, target.coefficients, whole[part], start[part], matrices[part], half, gains.taps,
-                    gains.extra, noise, tuple(float(v) for v in limits), out[part])
+    def adjust(which: np.ndarray, doubt: float) -> None:
+        limits = tuple(float(v) for v in (options.max_iterations, options.step, options.max_sigma, options.min_score,
+                                          options.max_move, doubt))
 
-    batch.spread(kernel, len(at), workers)
+        def kernel(part: slice) -> None:
+            k = which[part]
+            rows = np.empty((len(k), 16))
+            match_batch(template.coefficients, target.coefficients, whole[k], start[k], matrices[k], half, gains.taps,
+                        gains.extra, noise, limits, rows)
+            out[k] = rows
+
+        batch.spread(kernel, len(which), workers)
+
+    adjust(np.arange(len(at)), _SHAPE**2)
+    held = np.isin(out[:, _STATUS], (Status.OK, Status.UNCERTAIN)) & (out[:, _KEPT] < _ALL)
+    if held.any() and (doubt := _doubt(out, matrices)) > 1.2 * _SHAPE**2:
+        adjust(np.flatnonzero(held), doubt)
     out[:, :2] += (out[:, 2:6].reshape(-1, 2, 2) @ rest)[:, :, 0]
     return out
+
+
+def _doubt(rows: np.ndarray, matrices: np.ndarray) -> float:
+    """Variance of shaping parameters before they are adjusted, as the windows that determine all of them tell."""
+    full = (rows[:, _STATUS] == Status.OK) & (rows[:, _KEPT] == _ALL)
+    if full.sum() < _TELLING:
+        return _SHAPE**2
+    off = np.linalg.solve(matrices[full], rows[full, 2:6].reshape(-1, 2, 2)) - np.eye(2)
+    return float(np.median(off**2, axis=0).max())
 
 
 def _result(rows: np.ndarray, origin: np.ndarray) -> LsmResult:

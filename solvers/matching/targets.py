@@ -11,6 +11,12 @@ from .patches import gray
 
 RAYS = 48
 """Directions in which the edge of a target is measured."""
+_INDEPENDENT = 2.5
+"""px along an edge, between which its places err independently: small targets have fewer of them than rays."""
+_SOFT = 0.7
+"""px, smoothing before the edges of rings are measured: between the pixels of sharp narrow lines straight lines err by 0.04 px."""
+_NARROW = (49, 25, 13)
+"""px, sides of the surroundings of small rings."""
 
 
 @dataclass(frozen=True)
@@ -61,14 +67,18 @@ def find_targets(image: np.ndarray, kind: str = "dot", options: TargetOptions | 
 
     Raises Unsupported for another kind. Reference: Luhmann 2014, Close-range photogrammetry, 5.4.2.
     """
+    import cv2
+
     options = options or TargetOptions()
     if kind not in ("dot", "ring"):
         raise Unsupported(f"targets of kind {kind!r}: give 'dot' or 'ring'")
     grey = _green(image)
     found = [t for dark in (True, False) for t in _blobs(grey, dark, options, holes=kind == "ring")]
+    if kind == "ring":
+        grey = cv2.GaussianBlur(grey, (0, 0), _SOFT)
     rows = [r for r in (_measure(grey, *blob, options, kind == "ring") for blob in found) if r is not None]
     if kind == "ring":
-        rows = _concentric(rows)
+        rows = _apart(_concentric(rows))
     else:
         rows = _alike(_apart(rows))
     rows.sort(key=lambda r: (r.centre[1], r.centre[0]))
@@ -89,14 +99,16 @@ class _Ellipse:
 def _blobs(grey: np.ndarray, dark: bool, options: TargetOptions, holes: bool) -> list[tuple[np.ndarray, np.ndarray]]:
     """Outlines of regions darker (lighter) than their surroundings that look like an ellipse: centre, covariance of their area.
 
-    The surroundings of rings are taken wide and narrow, so that a lamp or a curtain near one of them does not hide it.
+    The surroundings of rings are taken wide and narrow: a lamp or a curtain near one of them does not hide it, and the lines of
+    a small one are told apart by its own mean.
     """
     import cv2
 
     side = 2 * min(options.largest_diameter, min(grey.shape) / 8)
     smooth = cv2.GaussianBlur(grey, (0, 0), 0.8)
     contours = []
-    for wide in (int(side) | 1, int(side / 3) | 1)[: 2 if holes else 1]:
+    sides = (side, side / 3, *(n for n in _NARROW if n < side / 4)) if holes else (side,)
+    for wide in (int(n) | 1 for n in sides):
         surround = cv2.blur(smooth, (wide, wide), borderType=cv2.BORDER_REFLECT_101)
         step = (surround - smooth) if dark else (smooth - surround)
         mask = (step > max(options.least_contrast / 2, 4.0)).astype(np.uint8)
@@ -141,7 +153,8 @@ def _measure(grey: np.ndarray, centre: np.ndarray, spread: np.ndarray, options: 
     if not ring and (np.std(outside) > 0.35 * abs(contrast) or np.std(inside) > 0.25 * abs(contrast)):
         return None
     angle = float(np.arctan2(axes[1, 1], axes[0, 1]))
-    covariance = cofactor * max(rms, 0.02) ** 2
+    around = 2 * np.pi * np.sqrt(0.5 * (a * a + b * b))
+    covariance = cofactor * max(rms, 0.02) ** 2 * max(1.0, RAYS * _INDEPENDENT / around)
     centroid = np.full(2, np.nan) if ring else _centroid(grey, centre, 2 * _root(spread))
     return _Ellipse(centre, covariance, (float(a), float(b)), angle, contrast, centroid)
 

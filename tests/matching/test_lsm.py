@@ -185,6 +185,28 @@ def test_a_dot_that_turns_about_itself_is_uncertain():
     assert square / found < 1.7
 
 
+def test_points_that_tell_their_shape_tell_how_far_off_that_of_others_may_be():
+    """A dot beside the middle of its window does not tell that it is turned: where all others are, its place is less sure."""
+    turned = np.array([[0.98, 0.12], [-0.12, 0.98]])
+    left, right, at, truth = pair(19, noise=1.0, shape=turned, shift=(10.0, 15.0))
+    row, col = np.mgrid[:260, :260].astype(float)
+    rng, middle = np.random.default_rng(20), np.array([129.0, 129.0])
+    for image, place in ((left, middle), (right, turned @ middle + [10, 15])):
+        dot = place + (np.eye(2) if image is left else turned) @ [1.2, -0.9]
+        blank = 120 + 90 * np.exp(-((col - dot[0]) ** 2 + (row - dot[1]) ** 2) / 18) + rng.normal(0, 1, col.shape)
+        near = np.hypot(col - place[0], row - place[1]) < 25
+        image[near] = blank[near]
+    where = turned @ middle + [10, 15]
+    far = np.linalg.norm(at - middle, axis=1) > 45
+    alone = match_lsm(left, right, middle, where)
+    together = match_lsm(left, right, np.vstack([at[far], middle]), np.vstack([truth[far], where]))
+    assert alone.ok[0] and together.ok[-1] and together.kept[-1] < 6 and (together.kept[:-1] == 6).mean() > 0.9
+    assert np.abs(together.pixel[-1] - alone.pixel[0]).max() < 1e-3
+    off = np.linalg.norm(together.pixel[-1] - where)
+    size, single = (float(np.sqrt((r.sigma[-1] ** 2).sum())) for r in (together, alone))
+    assert size > 1.5 * single and 0.5 * size < off < 2 * size
+
+
 def test_black_parts_beside_a_picture_have_no_correlation():
     """They hold the tails of the spline of what lies beside them: a millionth of a grey value, and well correlated."""
     rng = np.random.default_rng(16)
