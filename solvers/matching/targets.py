@@ -14,7 +14,7 @@ RAYS = 48
 _INDEPENDENT = 2.5
 """px along an edge, between which its places err independently: small targets have fewer of them than rays."""
 _SOFT = 0.7
-"""px, smoothing before the edges of rings are measured: between the pixels of sharp narrow lines straight lines err by 0.04 px."""
+"""px, smoothing before the edges of rings are measured: linear interpolation of sharp narrow lines errs by 0.04 px."""
 _NARROW = (49, 25, 13)
 """px, sides of the surroundings of small rings."""
 
