@@ -3,6 +3,7 @@
     python benchmarks/bundle.py [images ...] [--threads N] [--free c,xp,yp] [--covariance] [--utm] [--pairs N]
                                 [--tools collinea,tuned,...]
     python benchmarks/bundle.py --bal problem-49-7776-pre.txt      # a problem in the large: f, k1, k2 of every image
+    python benchmarks/bundle.py --long-range 100 500 2000          # both of our models on photos of 300 mm along a cliff
     python benchmarks/bundle.py --first-call                       # an empty cache of compiled code, then a new process
 
 Every run is a process of its own. Blocks: double grids of near-vertical photos, 35 mm, 6000 x 4000 px, 120 m, noise 0.3 px, about
@@ -14,11 +15,12 @@ Tools, where they are installed: collinea; traced (ours, every row written to th
 centred coordinates, free gauge, function tolerance 1e-8); uncentred (the same, coordinates as they come: see --utm); defaults
 (pycolmap as it comes); gtsam (Levenberg-Marquardt, its camera has two parameters more, fy and skew); scipy (trf, lsmr, analytic
 sparse Jacobian). `to 1e-6`: CPU seconds until the cost is within a millionth of the tool's own end.
-CPU seconds disturb least on a busy machine. `peak MB` is that of the whole process, `floor` its peak when the tool has adjusted
-a block of 80 images and few points (Python, libraries, code), `above` what the block itself adds: reading it, the problem, the
-solution. The block comes from a file, and neither tool's process keeps it beside its own problem. After each block the ratios
-to the first tool are printed. --pairs N: the same adjustment without and with a full trace, N times in turn in one process,
-medians. --limit: seconds until a tool is given up.
+CPU seconds disturb least on a busy machine. `peak MB` is that of the whole process, `floor` its peak when the tool has
+adjusted a block of 80 images and few points (Python, libraries, code), `above` what the block itself adds: reading it, the
+problem, the solution; `own` the peak without the pages of program files, which all processes share and the system may drop.
+The block comes from a file, and neither tool's process keeps it beside its own problem. After each block the ratios to the
+first tool are printed. --pairs N: the same adjustment without and with a full trace, N times in turn in one process, medians.
+--limit: seconds until a tool is given up.
 """
 
 from __future__ import annotations
@@ -39,7 +41,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks.bundle_blocks import UTM, block, kept
-from benchmarks.bundle_tools import run_bal, run_gtsam, run_ours, run_pairs, run_pycolmap, run_scipy
+from benchmarks.bundle_tools import run_bal, run_gtsam, run_long_range, run_ours, run_pairs, run_pycolmap, run_scipy
 
 
 def first_call(threads: int) -> None:
@@ -82,6 +84,21 @@ def compare_bal(args: argparse.Namespace, environment: dict[str, str]) -> None:
               f"{reached['pycolmap'] / reached['collinea']:.2f}")
 
 
+def long_range(args: argparse.Namespace, environment: dict[str, str]) -> None:
+    """Blocks of long focal length by both of our models."""
+    print(f"{'images':>6s} {'points':>7s} {'observations':>12s} {'model':12s} {'sigma0':>8s} {'iterations':>10s} {'stop':>8s} "
+          f"{'build s':>8s} {'solve s':>8s} {'CPU s':>8s} {'statistics s':>12s} {'CPU s':>8s} {'peak MB':>8s}")
+    for m in args.images:
+        for model in ("perspective", "orthogonal"):
+            r = called([str(m), "--long-range", "--threads", str(args.threads), "--run", model], environment, args.limit)
+            if isinstance(r, str):
+                print(f"{m:6d} {model:12s} {r}", flush=True)
+                continue
+            print(f"{m:6d} {r['points']:7d} {r['observations']:12d} {model:12s} {r['sigma0']:8.4f} {r['iterations']:10d} "
+                  f"{r['stop']:>8s} {r['build']:8.2f} {r['solve']:8.2f} {r['cpu']:8.2f} {r['statistics']:12.2f} "
+                  f"{r['statistics cpu']:8.2f} {r['peak']:8.0f}", flush=True)
+
+
 MODULES = {"tuned": "pycolmap", "uncentred": "pycolmap", "defaults": "pycolmap", "gtsam": "gtsam", "scipy": "scipy",
            "traced": "rerun"}
 TINY, FEW = 80, 15
@@ -99,6 +116,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             return (run_gtsam if args.run == "gtsam" else run_scipy)(b, args.threads)
         return run_pycolmap(b, args.threads, args.run, args.covariance and args.run == "tuned")
 
+    if args.long_range:
+        return run_long_range(args.images[0], args.threads, args.run)
     if args.bal:
         return run_bal(args.bal, args.run, args.threads)
     folder = Path(args.blocks)
@@ -107,15 +126,18 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         return {"pairs": run_pairs(kept(folder / f"{args.images[0]}.npz"), args.threads, free, args.pairs)}
     floor = _peak()
     done = adjust(kept(folder / f"{args.images[0]}.npz"))
-    return done | {"floor": floor, "above": _peak() - floor}
+    return done | {"floor": floor, "above": _peak() - floor, "own": _peak() - _status("RssFile")}
 
 
 def _peak() -> float:
     """Largest memory of this process so far [MB]; the kernel's other count begins with that of the process it was forked from."""
+    return _status("VmHWM") or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def _status(what: str) -> float:
+    """A count of memory that Linux keeps for this process [MB], 0 on other systems."""
     status = Path("/proc/self/status")
-    if status.exists():
-        return int(status.read_text().split("VmHWM:")[1].split()[0]) / 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return int(status.read_text().split(f"{what}:")[1].split()[0]) / 1024 if status.exists() else 0.0
 
 
 def called(words: list[str], environment: dict[str, str], limit: float) -> dict[str, Any] | str:
@@ -133,7 +155,7 @@ def compare(m: int, tools: list[str], args: argparse.Namespace, environment: dic
     words = ["--threads", str(args.threads), "--free", args.free, "--blocks", args.blocks,
              *(["--covariance"] if args.covariance else [])]
     print(f"{'':18s} {'cost':>16s} {'iterations':>10s} {'build s':>8s} {'solve s':>8s} {'CPU s':>8s} {'to 1e-6':>8s} "
-          f"{'peak MB':>8s} {'floor':>8s} {'above':>8s} {'covariance s':>12s} {'CPU s':>8s}")
+          f"{'peak MB':>8s} {'floor':>8s} {'above':>8s} {'own':>8s} {'covariance s':>12s} {'CPU s':>8s}")
     first: dict[str, float] = {}
     for tool in tools:
         r = called([str(m), "--run", tool, *words], environment, args.limit)
@@ -141,12 +163,12 @@ def compare(m: int, tools: list[str], args: argparse.Namespace, environment: dic
             print(f"{tool:18s} {r}", flush=True)
             continue
         print(f"{tool:18s} {r['cost']:16.6f} {r['iterations']:10d} {r['build']:8.2f} {r['solve']:8.2f} {r['cpu']:8.2f} "
-              f"{r['reached']:8.2f} {r['peak']:8.0f} {r['floor']:8.0f} {r['above']:8.0f} "
+              f"{r['reached']:8.2f} {r['peak']:8.0f} {r['floor']:8.0f} {r['above']:8.0f} {r['own']:8.0f} "
               f"{r.get('covariance', float('nan')):12.2f} {r.get('covariance cpu', float('nan')):8.2f}", flush=True)
         if first:
-            kinds = ("solve", "cpu", "covariance cpu", "peak", "above")
+            kinds = ("solve", "cpu", "covariance cpu", "peak", "above", "own")
             told = [f"{k} {r[k] / max(first[k], 1e-9):.2f}" for k in kinds if k in r and k in first]
-            ours = [f"{k} {first[k] / max(r[k], 1e-9):.2f}" for k in ("peak", "above")]
+            ours = [f"{k} {first[k] / max(r[k], 1e-9):.2f}" for k in ("peak", "above", "own")]
             print(" " * 18, f"ratios to the first: {', '.join(told)}; memory of the first: {', '.join(ours)}", flush=True)
         first = first or r
     if args.pairs:
@@ -173,6 +195,7 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, default=0, help="pairs of adjustments without and with a full trace, in turn")
     parser.add_argument("--utm", action="store_true", help="coordinates of a national grid, 679 km and 9,124 km from its origin")
     parser.add_argument("--bal", metavar="FILE", help="a problem in the large instead of blocks")
+    parser.add_argument("--long-range", action="store_true", help="blocks of long focal length, both of our models, no peer")
     parser.add_argument("--first-call", action="store_true", help="how long the first adjustment ever takes, and those after it")
     parser.add_argument("--limit", type=float, default=3600.0, help="seconds after which a tool is given up")
     parser.add_argument("--run", help=argparse.SUPPRESS)
@@ -185,6 +208,9 @@ def main() -> None:
     if missing := sorted(set(args.tools.split(",")) - set(tools)):
         print(f"not installed here: {', '.join(missing)}")
     environment = os.environ | {f"{name}_NUM_THREADS": str(args.threads) for name in ("OPENBLAS", "OMP", "MKL")}
+    if args.long_range:
+        long_range(args, environment)
+        return
     if args.first_call:
         first_call(args.threads)
         return

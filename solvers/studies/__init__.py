@@ -12,6 +12,7 @@ KINDS = {
     "ono": "free networks of long focal length: Ono & Hattori's tables over many runs, their field geometry",
     "starts": "initial values: success and cost of every start",
     "drift": "36-photo mosaics, one after the other or all at once: drift, control, relief, distortion",
+    "monitoring": "epochs of one network: false alarms at the stated level, movements found",
     "gcp": "how many ground control points a mosaic needs, and where",
 }
 
