@@ -15,7 +15,7 @@ from solvers import Exterior
 from solvers.cli import main
 from solvers.orientation import orient
 from solvers.orientation.single import Request
-from solvers.studies import KINDS, clusters, fov, published, starts
+from solvers.studies import KINDS, clusters, fov, monitoring, published, starts
 from solvers.studies.clusters import chances
 from solvers.studies.design import CAMERA, TABLE_I, Sample, cluster, errors, estimate, mirrored, predict, summary, tilt_deg
 from solvers.studies.estimators import Poses, exponential, orthogonal_iterated, orthogonal_pass, perspective
@@ -176,3 +176,17 @@ def test_study_command_writes_page_tables_and_figures(tmp_path, capsys, monkeypa
     assert "--runs 4" in text and len(figures) == 3 and all((tmp_path / name).exists() for name in figures)
     assert (tmp_path / "fov-reversal.svg").stat().st_size > 1000
     assert set(KINDS) >= {"clusters", "fov", "starts", "ono"}
+
+
+def test_study_of_monitoring_counts_alarms_and_movements(tmp_path):
+    """Few runs: every movement of 3 mm is found, none of 0.01 mm; the interval holds the share; the page says what it ran."""
+    (epoch,) = monitoring._adjusted(0, 0.0, 1)
+    large, small = (monitoring.redrawn(epoch, movement, 0.05, 12, seed=2) for movement in (0.003, 0.00001))
+    assert large["found"] == 1.0 and small["found"] < 0.2
+    often = monitoring.redrawn(epoch, 0.0, 0.45, 12, seed=1)
+    assert 1 <= often["false_alarms"] < 12 and often["low"] < often["share"] < often["high"]
+    assert main(["study", "monitoring", "-o", str(tmp_path), "--runs", "4", "--quiet"]) == 0
+    text = (tmp_path / "monitoring.md").read_text(encoding="utf-8")
+    assert "--runs 4" in text and "](monitoring.png)" in text and (tmp_path / "monitoring.png").stat().st_size > 5000
+    lines = (tmp_path / "monitoring.csv").read_text(encoding="utf-8").splitlines()
+    assert len(lines) == 1 + len(monitoring.LEVELS) + len(monitoring.MOVEMENTS) + 2
