@@ -13,7 +13,6 @@ from .bundle_rows import inner_extent, inner_places
 from .bundle_state import Bundle
 from .kept import by_identity
 from .matching_state import Matching
-from .memo import remembered
 from .mosaic_state import Mosaic, in_frame
 from .state import Assets, State
 from .values import Label, Mesh, Plane, PointCloud, Scene, Segments
@@ -226,7 +225,7 @@ def points(state: State) -> Scene:
     return found
 
 
-@remembered(4)
+@by_identity(4)
 def _named(assets: Assets, points: Points, chosen: str | None) -> list[int]:
     """The control and check points whose names are drawn: the chosen one, and of many only such as leave each other room."""
     xyz, kinds = _local(assets, points), _by_role(points)
