@@ -197,12 +197,11 @@ class _Scene:
         """Residuals of the images on their formats at the last row, the worst first, exaggerated."""
         import rerun as rr
 
-        of = self.block.observations
-        index = {(int(i), self.block.points.names[j]): k for k, (i, j) in enumerate(zip(of.image, of.point, strict=True))} \
-            if len(of) < DRAWN else {}
-        for o in sorted(adjusted.orientations, key=lambda o: -o.rms_px)[:PHOTOS if index else 0]:
-            camera, image = self.block.camera_of(o.image), self.block.image_index(o.image)
-            at = of.pixel[[index[image, p] for p in o.points]]
+        of, names = self.block.observations, self.block.points.names
+        for o in sorted(adjusted.orientations, key=lambda o: -o.rms_px)[:PHOTOS]:
+            camera = self.block.camera_of(o.image)
+            index = {names[of.point[r]]: r for r in np.flatnonzero(of.image == self.block.image_index(o.image))}
+            at = of.pixel[[index[p] for p in o.points]]
             factor = nice(camera.width / 12 / max(o.rms_px, 1e-6))
             path = f"/photos/{rr.escape_entity_path_part(o.image)}"
             label = f"{o.image}: rms {o.rms_px:.2f} px, drawn {factor:g} times"
