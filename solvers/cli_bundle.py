@@ -84,7 +84,7 @@ def _adjust(args: argparse.Namespace) -> int:
         done = adjust_project(_where(args), "adjust", record_bundle, live=Live, further=args.further, **_request(args))
         if isinstance(done, StoppedRun):
             return _stopped(done)
-    return emit(args, done.to_json(), adjusted_text(done))
+    return emit(args, done.to_json() if args.json else None, adjusted_text(done))
 
 
 def _stopped(done: Any) -> int:
@@ -103,7 +103,7 @@ def _calibrate(args: argparse.Namespace) -> int:
     done = calibrate_project(_where(args), args.compare, record_bundle, live=Live, **_request(args))
     if isinstance(done, StoppedRun):
         return _stopped(done)
-    return emit(args, done.to_json(), calibrated_text(done))
+    return emit(args, done.to_json() if args.json else None, calibrated_text(done))
 
 
 def _models(args: argparse.Namespace) -> int:

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 ROWS = 60
 """Rows of a trace that are drawn, at most; the first and the last are always."""
+NAMED = 24
+"""Known points up to which their names are shown, not only told where one points at them."""
 DRAWN = 20000
 """Points that are drawn in every row, at most."""
 SWOLLEN, PHOTOS = 500, 60
@@ -153,12 +155,13 @@ class _Scene:
         import rerun as rr
 
         log = partial(self.stream.log, static=True)
+        few = sum(p.role != "tie" for p in adjusted.points) <= NAMED
         for role, colour in (("control", theme.CONTROL), ("check", theme.CHECK)):
             of = [p for p in adjusted.points if p.role == role]
             if of:
                 xyz = self.frame.to_local(np.array([p.xyz for p in of]))
                 log(f"/points/{role}", rr.Points3D(xyz, colors=colour, radii=rr.Radius.ui_points(4), labels=[p.name for p in of],
-                                                   show_labels=len(of) <= 60))
+                                                   show_labels=few))
         for warning in adjusted.warnings:
             log("/log/bundle/warnings", rr.TextLog(warning, level="WARN"))
 

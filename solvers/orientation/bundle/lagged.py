@@ -163,7 +163,7 @@ class Lagged:
     def _residuals(self, x: np.ndarray) -> np.ndarray:
         net, interiors, out = self.network, self.network.interiors_at(x), np.empty_like(self.network.pixels)
         for i in range(len(net.images)):
-            rows = np.flatnonzero(net.image == i)
+            rows = net.seen_in(i)
             at = Exterior.from_vector(net.split(x)[0][i])
             out[rows] = net.pixels[rows] - project(interiors[net.camera[i]], at, virtual(net, x, i, rows))
         return out
@@ -177,7 +177,7 @@ class Lagged:
         interiors, k = net.interiors_at(x), net.extras.moving
         v, at, values, columns = np.empty_like(net.pixels), [], [], []
         for i in range(m):
-            rows = np.flatnonzero(net.image == i)
+            rows = net.seen_in(i)
             camera = net.camera[i]
             seen, moved = lagged_derivatives(net, x, i, rows, interiors[camera])
             v[rows] = net.pixels[rows] - seen.pixels

@@ -112,6 +112,17 @@ class Network:
         """(n + 1,) first observation of each point."""
         return np.searchsorted(self.point, np.arange(len(self.points) + 1)).astype(np.int64)
 
+    def seen_in(self, image: int) -> np.ndarray:
+        """Rows of the observations of one image."""
+        order, ends = self._by_image
+        return order[ends[image]:ends[image + 1]]
+
+    @cached_property
+    def _by_image(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows of the observations, image by image, and where each image's begin."""
+        order = np.argsort(self.image, kind="stable")
+        return order, np.searchsorted(self.image[order], np.arange(len(self.images) + 1))
+
     @cached_property
     def border_groups(self) -> dict[str, slice]:
         """Rows of `border_rows` by kind, weighted coordinates of held points aside."""

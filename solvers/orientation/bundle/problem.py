@@ -125,7 +125,7 @@ class Bundle:
         v = np.empty_like(net.pixels)
         interiors = net.interiors_at(x)
         for i in range(len(net.images)):
-            rows = np.flatnonzero(net.image == i)
+            rows = net.seen_in(i)
             at = Exterior.from_vector(poses[i])
             at_point = virtual(net, x, i, rows) if net.extras.moving else points[net.point[rows]]
             v[rows] = net.pixels[rows] - project(interiors[net.camera[i]], at, at_point)
@@ -139,7 +139,7 @@ class Bundle:
         u, interiors = 6 * m + f + 3 * live, net.interiors_at(x)
         v, j = np.empty_like(net.pixels), np.zeros((len(net.image), 2, u))
         for i in range(m):
-            rows = np.flatnonzero(net.image == i)
+            rows = net.seen_in(i)
             camera, of = net.camera[i], net.point[rows]
             exterior = Exterior.from_vector(poses[i])
             if net.extras.moving:

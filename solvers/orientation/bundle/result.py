@@ -227,10 +227,8 @@ def _orientations(data: Given, problem: Bundle, trace: Trace, stats: Statistics,
     poses, first = (net.split(trace.rows[k].x)[0] for k in (-1, 0))
     chi = chi_square(trace.last.cost, problem.dof)
     out = []
-    order = np.argsort(net.image, kind="stable")
-    ends = np.searchsorted(net.image[order], np.arange(len(net.images) + 1))
     for i, name in enumerate(net.images):
-        rows = order[ends[i]:ends[i + 1]]
+        rows = net.seen_in(i)
         local = Exterior.from_vector(poses[i])
         covariance = local.angle_covariance(stats.poses[i])
         sd = np.sqrt(np.diag(stats.poses[i]))
@@ -333,7 +331,7 @@ def _shutter(data: Given, problem: Bundle, x: np.ndarray) -> list[str]:
     for i, name in enumerate(net.images):
         k = block.image_index(name)
         ms, velocity = block.readout_ms.get(block.images[k].camera), velocity_of(data, k)
-        rows = np.flatnonzero(net.image == i)
+        rows = net.seen_in(i)
         if ms is None or velocity is None or not len(rows):
             continue
         depth = np.median(np.abs(Exterior.from_vector(poses[i]).camera(points[net.point[rows]])[:, 2]))
