@@ -22,7 +22,7 @@ from .actions import Action, Say, Tick, update
 from .actions_solve import Failed, Rows, Solved
 from .bridge import LOCAL_HOSTS, Wire, controls, guard_values, open_server
 from .flying import Fly, asked_by, flight
-from .home import home
+from .home import home, home_beside
 from .jobs import Jobs
 from .keeping import Keeper, resume
 from .loading import bring, open_project
@@ -38,6 +38,8 @@ from .theme import PERSPECTIVE
 PICK_PIXELS = 12.0
 """How far from a point's middle a click still means it, pixels of the screen."""
 LATENCIES = 200
+STARTS = 20
+"""Places where browsers began that are remembered."""
 PATIENCE = 0.04
 """How long a repaint waits for the chosen image's solutions, which then come in the same picture, seconds; anything else that
 happens meanwhile is answered at once."""
@@ -247,6 +249,9 @@ class App:
         server.scene.configure_default_lights(cast_shadow=False)
         self._before: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray, float]] = {}
         self._home: tuple[np.ndarray, np.ndarray, float] | None = None
+        self._canvases: dict[int, tuple[float, float]] = {}
+        self._homes: dict[int, np.ndarray] = {}
+        self._starts: list[np.ndarray] = []
         self._placed: Network | None = None
         server.initial_camera.fov = np.radians(45)
         self._look()
@@ -255,6 +260,8 @@ class App:
         self._wire = Wire(server, self._heard)
         self._desk = Desk(gui, server, self.emit, self._wire, lambda: self._state)
         self._tabs(gui)
+        server.on_client_connect(self._came)
+        server.on_client_disconnect(self._left)
         clicked: Any = self._clicked  # viser takes coroutines here too
         server.scene.on_click()(clicked)
 
@@ -291,12 +298,48 @@ class App:
         if old is not None and np.linalg.norm(position - old[0]) < 0.02 * np.linalg.norm(position - at):
             return
         self._home = position, at, far
+        self._starts = [*self._starts[-STARTS:], position]
         camera = self.server.initial_camera
         camera.position, camera.look_at, camera.far, camera.near = position, at, far, far / 20000
         for client in self.server.get_clients().values():
-            shown = client.camera
-            if old is not None and np.allclose(shown.position, old[0], rtol=1e-3, atol=1e-3):
-                shown.position, shown.look_at = position, at
+            self._frame(client)
+
+    def _frame(self, client: viser.ClientHandle) -> None:
+        """Show a browser all there is beside the panels that lie over its canvas, unless it has moved: it stands neither where it
+        was put last nor where browsers begin."""
+        size, shown = self._canvases.get(client.client_id), client.camera
+        if size is None or not self._unmoved(client.client_id, shown.position):
+            return
+        position, at = home_beside(self._state, *size, float(shown.fov))
+        self._homes[client.client_id] = position
+        with client.atomic():
+            shown.position, shown.look_at = position, at
+
+    def _unmoved(self, client_id: int, position: np.ndarray) -> bool:
+        known = np.array([*self._starts, self._homes.get(client_id, self._starts[0])])
+        return bool((np.abs(known - position) < 1e-3 + 1e-3 * np.abs(known)).all(axis=1).any())
+
+    def _sized(self, client_id: int | None, value: Any) -> None:
+        """A browser says how large its canvas is: width and height in 10,000 px."""
+        if client_id is None or not (isinstance(value, tuple) and len(value) == 2 and min(value) >= 0.001):
+            return
+        self._canvases[client_id] = 1e4 * value[0], 1e4 * value[1]
+        if (client := self.server.get_clients().get(client_id)) is not None:
+            self._frame(client)
+
+    def _came(self, client: viser.ClientHandle) -> None:
+        """A page has a camera of its own until it has taken ours."""
+
+        async def looks(camera: viser.CameraHandle) -> None:
+            if client.client_id not in self._homes and self._unmoved(client.client_id, camera.position):
+                self._actions.put(lambda: self._frame(client))
+
+        client.camera.on_update(looks)
+        self._actions.put(lambda: self._frame(client))
+
+    def _left(self, client: viser.ClientHandle) -> None:
+        for known in (self._canvases, self._homes, self._before):
+            known.pop(client.client_id, None)
 
     def _fly(self, action: Fly) -> None:
         """Turn the view of the browser that asked."""
@@ -334,6 +377,8 @@ class App:
 
     def _heard(self, kind: str, value: Any, client: int | None = None) -> None:
         """What came through the wire; anyone who can open the page can send anything: the tabs check it again."""
+        if kind == "canvas":
+            self._actions.put(lambda: self._sized(client, value))
         for tab in tabs():
             if (heard := tab.heard.get(kind)) is not None and (action := heard(self._state, value)) is not None:
                 self.emit(asked_by(action, client))

@@ -14,7 +14,7 @@ from .bundle_state import Bundle
 from .kept import by_identity
 from .matching_state import Matching
 from .mosaic_state import Mosaic, in_frame
-from .state import Assets, State
+from .state import MODELS, Assets, State, Terrain
 from .values import Label, Mesh, Plane, PointCloud, Scene, Segments
 
 
@@ -64,23 +64,19 @@ def _instead(state: State) -> np.ndarray:
 def ground(state: State, vectors: float | None) -> Scene:
     """Terrain or a plane at the mean height of the points, a grid in metres, north and a scale bar. vectors: exaggeration of
     the residuals drawn, None where only the ground is."""
-    low, high = site(state)
-    span = float((high - low)[:2].max())
+    low, high, span = _drawn(state)
     cell = nice(span / 8)
     found: Scene = {}
     terrain = state.assets.terrain
     if terrain is not None:
-        corners = np.array([terrain.vertices.min(axis=0), terrain.vertices.max(axis=0)])
-        low, high = np.minimum(low, corners[0]), np.maximum(high, corners[1])
-        level = float(corners[0, 2]) - 0.02 * span
+        level = float(terrain.vertices[:, 2].min()) - 0.02 * span
     else:
         heights = known_points(state.assets, state.block.points)[:, 2]
         heights = heights if len(heights) else _instead(state)[:, 2]
         given = state.assets.level
         level = given if given is not None else float(heights.mean()) if len(heights) else 0.0
         level -= lowered(state)
-    x0, y0 = np.floor(low[:2] / cell) * cell
-    x1, y1 = np.ceil(high[:2] / cell) * cell
+    x0, x1, y0, y1 = _lines(low, high, cell)
     if state.view.terrain:
         if terrain is not None:
             found["/ground/terrain"] = Mesh(terrain.vertices, terrain.faces, terrain.colours, lowered(state))
@@ -90,6 +86,35 @@ def ground(state: State, vectors: float | None) -> Scene:
     fine = (70, 74, 80) if state.view.dark else (208, 212, 216)
     found["/ground/grid"] = Segments(_grid(x0, x1, y0, y1, cell, level), fine, 1.0)
     return found | _north(state, x0, x1, y0, y1, level, cell, vectors)
+
+
+def drawn_ground(state: State) -> np.ndarray:
+    """Corners (4, 3) m of what is drawn of the ground, north arrow and scale bar included."""
+    low, high, span = _drawn(state)
+    cell = nice(span / 8)
+    x0, x1, y0, y1 = _lines(low, high, cell)
+    return np.array([[x, y, low[2]] for x in (x0, x1 + cell) for y in (y0 - 0.7 * cell, y1)])
+
+
+def _drawn(state: State) -> tuple[np.ndarray, np.ndarray, float]:
+    """Corners (3,) low and high of the site and its terrain, and the site's greater extent [m]."""
+    low, high = site(state)
+    span = float((high - low)[:2].max())
+    if state.assets.terrain is not None:
+        bottom, top = _box(state.assets.terrain)
+        low, high = np.minimum(low, bottom), np.maximum(high, top)
+    return low, high, span
+
+
+@by_identity(2)
+def _box(terrain: Terrain) -> tuple[np.ndarray, np.ndarray]:
+    return terrain.vertices.min(axis=0), terrain.vertices.max(axis=0)
+
+
+def _lines(low: np.ndarray, high: np.ndarray, cell: float) -> tuple[float, float, float, float]:
+    """First and last line of the grid in x and in y."""
+    (x0, y0), (x1, y1) = np.floor(low[:2] / cell) * cell, np.ceil(high[:2] / cell) * cell
+    return float(x0), float(x1), float(y0), float(y1)
 
 
 def _grid(x0: float, x1: float, y0: float, y1: float, cell: float, z: float) -> np.ndarray:
@@ -125,7 +150,7 @@ def scales(state: State, cell: float, vectors: float | None) -> str:
     words = [f"{cell:g} m"]
     if vectors is None:
         return words[0]
-    if view.residuals and len(state.block.points):
+    if view.residuals and any((s := state.solution(m)) and s.rows for m in MODELS):
         words.append(f"residuals × {vectors:g}")
     if view.ellipsoids and view.ellipsoid > 0:
         words.append(f"95 % ellipsoids × {view.ellipsoid:g}")

@@ -6,27 +6,74 @@ import numpy as np
 
 from solvers import Exterior
 
-from .ground import site
+from .ground import drawn_ground, site
 from .matching_state import Matching
 from .scene import MANY, centres
 from .sighting import position, prior
 from .state import MODELS, State
 
 
+WAY = np.array([0.5, -1.0, 0.5]) / np.sqrt(1.5)
+"""From what is looked at to the eye (3,): from the south, high enough to see ground and cameras."""
+PANEL, LOW = 442, 384
+"""Width and height of the canvas's lower left corner that the panel over the scene covers, pixels of the page."""
+RIM, SKY, WORDS = 24, 64, 70
+"""Pixels kept free around what is seen, above it for names and right of it for words."""
+WIDE = 700
+"""Pixels beside the panel from which on the whole terrain is shown at first, not the site alone."""
+
+
 def home(state: State) -> tuple[np.ndarray, np.ndarray, float]:
-    """Position (3,), point looked at (3,) and far plane [m]: from the south, high enough to see ground and cameras."""
+    """Position (3,), point looked at (3,) and far plane [m], where nothing lies over the scene and its shape is not known."""
+    corners = _seen(state)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    middle, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)
+    return middle + 2.95 * radius * WAY, middle, 40 * radius
+
+
+def home_beside(state: State, width: float, height: float, fov: float) -> tuple[np.ndarray, np.ndarray]:
+    """Position (3,) and point looked at (3,) from which all there is stands beside the panel, or above it, whichever shows it
+    larger. width, height: of the canvas, pixels of the page; fov: vertical [rad]."""
+    corners = _seen(state, width > PANEL + WIDE or state.assets.terrain is None)
+    middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
+    right = np.cross(-WAY, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    seen = (corners - middle) @ np.column_stack([right, np.cross(right, -WAY), -WAY])  # right, up, away
+    focal, half = height / 2 / np.tan(fov / 2), np.array([width, height]) / 2
+    places = [(np.array([left, low]) + RIM - half, half - [WORDS, SKY]) for left, low in ((PANEL, 0), (0, LOW))]
+    free = [(a, b) for a, b in places if (b - a > 120).all()] or [(0.1 - half, half - 0.1)]
+    distance, moved = min((_fitted(seen, focal, a, b) for a, b in free), key=lambda found: found[0])
+    at = middle + moved[0] * right + moved[1] * np.cross(right, -WAY)
+    return at + distance * WAY, at
+
+
+def _fitted(seen: np.ndarray, focal: float, low: np.ndarray, high: np.ndarray) -> tuple[float, np.ndarray]:
+    """Least distance at which places (n, 3) m, as right, up, away, fit between low and high (2,) px from the canvas's middle, y up;
+    and how far (2,) m right and up the eye is moved for it: a place is drawn at focal * (place - moved) / (distance + away)."""
+    size = max(float(np.ptp(seen, axis=0).max()), 1e-3)
+
+    def limits(distance: float) -> tuple[np.ndarray, np.ndarray]:
+        depth = (distance + seen[:, 2:]) / focal
+        return (seen[:, :2] - high * depth).max(axis=0), (seen[:, :2] - low * depth).min(axis=0)
+
+    near, far = size - float(seen[:, 2].min()), 1e4 * size
+    for _ in range(60):
+        distance = float(np.sqrt(near * far))
+        least, most = limits(distance)
+        near, far = (near, distance) if (least <= most).all() else (distance, far)
+    least, most = limits(far)
+    return far, (least + most) / 2
+
+
+def _seen(state: State, whole: bool = True) -> np.ndarray:
+    """Corners and centres (n, 3) m of what the first view shows, local frame; whole: to the edge of what is drawn of the ground."""
     low, high = site(state)
     at = [*centres(state)] if len(state.block.images) > MANY else [e.centre for e in _known(state)]
     at += [p for i in state.block.images[:MANY] if i.prior is not None and (p := position(state, i.name)) is not None]
     network = state.room(Matching).network
     at += [] if network is None else [e.centre for e in network.exteriors.values()]
-    corners = np.vstack([low, high, *at])
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    middle, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)
-    way = np.array([0.5, -1.0, 0.5])
-    # the panels cover the lower left corner: what is seen moves up and right where one looks at a place left below the middle
-    aim = middle + radius * np.array([-0.24, -0.1, -0.1])
-    return aim + 2.95 * radius * way / np.linalg.norm(way), aim, 40 * radius
+    ground = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+    return np.vstack([ground, *at, *([drawn_ground(state)] if whole else [])])
 
 
 def _known(state: State) -> list[Exterior]:

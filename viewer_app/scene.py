@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -96,7 +96,26 @@ def _many(state: State, depth: float) -> Scene:
             size = depth * (1 if model == "perspective" else 1.2)
             centres, matrices = vectors[on, :3], vectors[on, 3:12].reshape(-1, 3, 3)
             found[f"/images/{model}"] = Frusta(centres, matrices, half[names[on]], size, theme.MODELS[model])
+    if state.view.georeferenced:
+        solved = np.concatenate([final_vectors(state.work, model)[0] for model in MODELS])
+        every, centres, matrices = _priors(state.block, state.assets)
+        on = ~np.isin(every, [*solved, chosen])
+        if on.any():
+            shown = Frusta(centres[on], matrices[on], half[every[on]], 0.7 * depth, theme.GEOREFERENCED)
+            found["/images/georeferenced"] = shown
     return found
+
+
+@by_identity(2)
+def _priors(block: Block, assets: Assets) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Images (k,) by number whose prior is complete, its centres (k, 3) in the local frame and matrices (k, 3, 3)."""
+    given = [(k, i.prior) for k, i in enumerate(block.images) if i.prior is not None]
+    complete = [(k, p.centre, p.angles) for k, p in given if p.centre is not None and p.angles is not None]
+    if not complete:
+        return np.zeros(0, int), np.zeros((0, 3)), np.zeros((0, 3, 3))
+    centres = assets.frame.to_local(np.array([centre for _, centre, _ in complete], float))
+    matrices = np.array([Exterior.from_angles(*angles, centre=np.zeros(3)).m for _, _, angles in complete])
+    return np.array([k for k, *_ in complete]), centres, matrices
 
 
 @by_identity(4)
@@ -158,10 +177,11 @@ def vector_scale(state: State) -> float:
 
 
 def frustum_depth(state: State) -> float:
-    """Depth (m) at which image planes are drawn: a twelfth of the way to the ground, at least a tenth of the site."""
-    xyz = _known(state)
-    site = float(np.linalg.norm(np.ptp(xyz, axis=0))) if len(xyz) else 1.0
-    at = centres(state)
+    """Depth (m) at which image planes are drawn: a twelfth of the way to the ground, at least a tenth of the site; of what the
+    images cover where no point is known."""
+    xyz, at = _known(state), centres(state)
+    spread = xyz if len(xyz) else at
+    site = float(np.linalg.norm(np.ptp(spread, axis=0))) if len(spread) else 1.0
     far = float(np.median(np.linalg.norm(at - xyz.mean(axis=0), axis=1))) if len(at) and len(xyz) else 0.0
     return nice(max(0.07 * site, 0.08 * far, 1e-3))
 
@@ -227,8 +247,10 @@ def _image(state: State, name: str, depth: float) -> Scene:
     if view.initial and chosen and start is not None:
         found[f"{path}/initial/camera"] = Frustum(start, *lens, depth * 0.8, theme.INITIAL, 1.5)
     given = prior(state, name)
-    if view.georeferenced and chosen and given is not None:
-        found[f"{path}/georeferenced/camera"] = Frustum(given, *lens, depth * 0.7, theme.GEOREFERENCED, 1.5)
+    alone = all(state.exterior(model, name) is None for model in MODELS)
+    if view.georeferenced and given is not None and (chosen or alone):
+        shown = Frustum(given, *lens, depth * 0.7, theme.GEOREFERENCED, 3.0 if chosen and alone else 1.5)
+        found[f"{path}/georeferenced/camera"] = replace(shown, image=thumbnail if alone else None)
     place = position(state, name)
     if view.georeferenced and given is None and place is not None:
         arms = place + symbol_size(state) * np.array([[[-1, 0, 0], [1, 0, 0]], [[0, -1, 0], [0, 1, 0]], [[0, 0, -1], [0, 0, 1]]])

@@ -5,6 +5,12 @@ window.collinea = (() => {
   let count = 0;
   const send = (kind, value) => window.__viserMutable.sendMessage(
     {type: 'GuiUpdateMessage', uuid: UUID, updates: {value: JSON.stringify([kind, value, Date.now() + '-' + count++])}});
+  const watch = () => {  // how large the canvas is, whenever that changes
+    const canvas = window.__viserMutable?.canvas;
+    if (!canvas?.clientWidth) { setTimeout(watch, 30); return; }
+    new ResizeObserver(() => send('canvas', [canvas.clientWidth / 1e4, canvas.clientHeight / 1e4])).observe(canvas);
+  };
+  watch();
   const press = ev => { ev.stopPropagation(); const e = ev.currentTarget; send(e.dataset.kind, e.dataset.value); };
   // a button drawn anew between press and release is still the button that was pressed; the page itself makes no click of it
   let held = null;

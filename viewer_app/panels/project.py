@@ -40,7 +40,11 @@ SHOWN = (
     ("residuals", "Residuals", "At each GCP, from the point to its observed ray, exaggerated."),
     ("ellipsoids", "Ellipsoids", "95 % error ellipsoids of the centres, a priori, exaggerated."),
     ("initial", "Initial value", "Where the adjustment of the chosen image began."),
-    ("georeferenced", "Georeferenced", "The chosen image's onboard GPS/IMU orientation, where the project has one."),
+    (
+        "georeferenced",
+        "Georeferenced",
+        "Onboard GPS/IMU orientations, where the project has them: of the chosen image, and of images without a solution.",
+    ),
     (
         "printed",
         "One pass, printed",

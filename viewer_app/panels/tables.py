@@ -105,7 +105,7 @@ def words(state: State) -> str:
         solution = state.solution(model)
         if solution is None:
             continue
-        if solution.error:
+        if solution.error and "control" in state.block.points.role:
             lines.append(f"<div>{swatch(COLOURS[model])}<b>No {model} solution.</b> {esc(solution.error)}</div>")
         if solution.orientation:
             lines += [f"<div>{swatch(COLOURS[model])}{esc(w)}</div>" for w in solution.orientation.warnings]
@@ -145,6 +145,11 @@ def _unsaid(state: State) -> list[str]:
             "This project has no points: find tie points in the tab Matching, then adjust them in the tab Bundle or make a "
             "mosaic; ground control comes with a list of points (collinea init)."
         )
+    elif "control" not in block.points.role:
+        said.append(
+            "This project has no control points, which orient an image by itself: adjust its tie points in the tab Bundle or "
+            "make a mosaic; ground control comes with a list of points (collinea init)."
+        )
     elif not seen:
         said.append(
             "No point is measured in this image yet: choose a point, open the tab Photo, click where you see it, place the mark."
@@ -155,7 +160,7 @@ def _unsaid(state: State) -> list[str]:
     missing = sum(1 for i in block.images if not any((s := found.get((i.name, m))) and s.rows for m in MODELS))
     if missing and not wanted(state):
         placed = any(i.prior is not None and i.prior.centre is not None for i in block.images)
-        words = "a green cross stands where a position is known" if placed else "they are not drawn"
+        words = "green frustums and crosses stand where GPS and IMU place them" if placed else "they are not drawn"
         said.append(f"{missing} of {len(block.images)} images have no solution: {words}.")
     return [f"<div {MUTED}>{esc(s)}</div>" for s in said]
 
