@@ -30,6 +30,7 @@ from .matching_state import Matching, Network
 from .overlay import view_through
 from .paint_viser import Painter
 from .palette import complete
+from .panels.status import StatusLine
 from .picking import pick
 from .state import FEW, MODELS, State, wanted
 from .tabs import Command, Desk, Panel, tabs, wanted_tasks, whole_scene
@@ -267,6 +268,7 @@ class App:
 
     def _tabs(self, gui: viser.GuiApi) -> None:
         """Every tab in its place, and every command in the palette."""
+        self._panels.append(StatusLine(self._desk))
         side, below = gui.add_tab_group(), gui.add_panel()
         tab_of: dict[str, str] = {}
         for tab in tabs():

@@ -12,7 +12,6 @@ from .scene import MANY, centres
 from .sighting import position, prior
 from .state import MODELS, State
 
-
 WAY = np.array([0.5, -1.0, 0.5]) / np.sqrt(1.5)
 """From what is looked at to the eye (3,): from the south, high enough to see ground and cameras."""
 PANEL, LOW = 442, 384
@@ -34,7 +33,7 @@ def home(state: State) -> tuple[np.ndarray, np.ndarray, float]:
 def home_beside(state: State, width: float, height: float, fov: float) -> tuple[np.ndarray, np.ndarray]:
     """Position (3,) and point looked at (3,) from which all there is stands beside the panel, or above it, whichever shows it
     larger. width, height: of the canvas, pixels of the page; fov: vertical [rad]."""
-    corners = _seen(state, width > PANEL + WIDE or state.assets.terrain is None)
+    corners = _seen(state, width > PANEL + WIDE)
     middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
     right = np.cross(-WAY, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
@@ -48,8 +47,8 @@ def home_beside(state: State, width: float, height: float, fov: float) -> tuple[
 
 
 def _fitted(seen: np.ndarray, focal: float, low: np.ndarray, high: np.ndarray) -> tuple[float, np.ndarray]:
-    """Least distance at which places (n, 3) m, as right, up, away, fit between low and high (2,) px from the canvas's middle, y up;
-    and how far (2,) m right and up the eye is moved for it: a place is drawn at focal * (place - moved) / (distance + away)."""
+    """Least distance at which places (n, 3) m, as right, up, away, fit between low and high (2,) px from the canvas's middle, y
+    up; and how far (2,) m right and up the eye is moved for it: one is drawn at focal * (place - moved) / (distance + away)."""
     size = max(float(np.ptp(seen, axis=0).max()), 1e-3)
 
     def limits(distance: float) -> tuple[np.ndarray, np.ndarray]:
@@ -66,7 +65,7 @@ def _fitted(seen: np.ndarray, focal: float, low: np.ndarray, high: np.ndarray) -
 
 
 def _seen(state: State, whole: bool = True) -> np.ndarray:
-    """Corners and centres (n, 3) m of what the first view shows, local frame; whole: to the edge of what is drawn of the ground."""
+    """Corners and centres (n, 3) m of what the first view shows, local frame; whole: to the edge of the ground that is drawn."""
     low, high = site(state)
     at = [*centres(state)] if len(state.block.images) > MANY else [e.centre for e in _known(state)]
     at += [p for i in state.block.images[:MANY] if i.prior is not None and (p := position(state, i.name)) is not None]

@@ -132,10 +132,11 @@ class Progressing(Action):
 
 @dataclass(frozen=True)
 class Ended(Action):
-    """Work ended: of a method, of the layer or of writing; words: what came of it, or why nothing did."""
+    """Work ended: of a method, of the layer or of writing; words: what came of it, or why nothing did. file: one was written."""
 
     what: str
     words: str
+    file: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,6 +311,8 @@ def _ended(state: State, action: Ended) -> State:
     room = replace(
         room, busy=tuple(b for b in room.busy if b.partition("|")[0] != action.what), progress="", message=action.words
     )
+    if action.file:
+        room = replace(room, written=room.written + 1)
     if action.what in METHODS:  # it failed: not to be asked again before something changes
         room = replace(room, wanted={m: a for m, a in room.wanted.items() if m != action.what})
     return state.with_room(room)

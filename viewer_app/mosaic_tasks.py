@@ -147,7 +147,7 @@ def _write(made: Made, folder: Path, path: str) -> Task:
         call, arguments = _refuse, (why,)
 
     def arrive(value: str) -> Action:
-        return Ended("write", value[1:]) if value.startswith("=") else Progressing(value)
+        return Ended("write", value[1:], file=True) if value.startswith("=") else Progressing(value)
 
     return Task(("write", path), call, arguments, arrive, lambda why: Ended("write", why), "the writing", LANE)
 

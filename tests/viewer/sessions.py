@@ -47,7 +47,16 @@ def viewed(
             app.emit(Show(name, False))
         with viser_page(app.port, query=f"fixedDpr={1 if drawn else COARSE:g}", size=size, drawn=drawn) as v:
             settle(app, v)
+            v.wait_until(lambda: framed(app, v), "the view beside the panels")
             yield app, v
+
+
+def framed(app: App, v: ViserPage) -> bool:
+    """Whether the panels are docked and the first view is that of the canvas beside them."""
+    size = v.page.evaluate("() => [window.__viserMutable.canvas.clientWidth, window.__viserMutable.canvas.clientHeight]")
+    here = [app._homes[n] for n, known in app._canvases.items() if np.allclose(known, size, atol=0.5) and n in app._homes]
+    width = v.page.evaluate("() => window.innerWidth")
+    return size[0] < width and bool(here) and camera_arrived(app, v)
 
 
 def settle(app: App, v: ViserPage) -> None:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from tests.viewer.sessions import (
     camera_arrived,
     camera_path,
     demo_session,
+    downloaded,
     expected_pixels,
     has_pose,
     keys_work,
@@ -144,7 +145,7 @@ def test_two_runs_are_stepped_on_one_slider(session: Session) -> None:
     v.open_tab("Iterations")
     settle(app, v)
     path, kept = camera_path(app), app.state.exterior("perspective")
-    v.set_checkbox("Keep this run beside", True)
+    v.set_checkbox("Keep this run", True)
     v.wait_nodes(path.replace("/camera", "/kept"))
     act(app, v, UseOnly(app.state.control()[12:]))
     now = app.state.exterior("perspective")
@@ -154,7 +155,7 @@ def test_two_runs_are_stepped_on_one_slider(session: Session) -> None:
     v.page.get_by_text("perspective kept row").wait_for()
     act(app, v, Step("first"))
     v.page.get_by_text("perspective kept row 0").wait_for()
-    v.set_checkbox("Keep this run beside", False)
+    v.set_checkbox("Keep this run", False)
     v.page.get_by_text("perspective kept row").wait_for(state="detached")
     act(app, v, Step("last"), UsePoints(""))
     assert not app.state.work.off and v.pose(path.replace("/camera", "/kept")) is None
@@ -493,15 +494,8 @@ def test_the_scene_is_downloaded_as_glb(session: Session) -> None:
     import trimesh
 
     app, v = session
-    v.open_tab("Project")
-    v.click_button("Scene as GLB")
-    link = v.page.locator("a[download$='.glb']")
-    link.wait_for()
-    with v.page.expect_download() as download:
-        link.click()
-    loaded: Any = trimesh.load(Path(download.value.path()), file_type="glb")
+    loaded: Any = trimesh.load(io.BytesIO(downloaded(app, v, "Scene as GLB", "glb")), file_type="glb")
     assert camera_path(app) in loaded.graph.nodes
-    v.dismiss_notifications()
 
 
 def test_saving_writes_what_was_edited(session: Session) -> None:

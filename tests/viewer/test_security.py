@@ -91,7 +91,7 @@ def app() -> Any:
 
 
 def test_a_control_takes_only_what_it_offers(app: App) -> None:
-    speed, image, rays, names = (labelled(app, label) for label in ("Rows per second", "Image", "Rays", "Names of GCPs"))
+    speed, image, rays, names = (labelled(app, label) for label in ("Rows / second", "Image", "Rays", "Names of GCPs"))
     before = [h.value for h in (speed, image, rays, names)]
     wrong = [update(speed, value=v) for v in (1e308, -1, "2", None, [], True, math.nan)]
     wrong += [update(image, value=v) for v in ("../../etc/passwd", 3, None, ["left"])]
@@ -105,7 +105,7 @@ def test_a_control_takes_only_what_it_offers(app: App) -> None:
 
 def test_a_value_just_given_is_not_put_back_to_what_it_was(app: App) -> None:
     """Who types faster than the viewer draws keeps what was typed; the state has the last word once it knows of it."""
-    speed, gate = labelled(app, "Rows per second"), threading.Event()
+    speed, gate = labelled(app, "Rows / second"), threading.Event()
     app._actions.join()
     old = app.state
 

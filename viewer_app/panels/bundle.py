@@ -31,7 +31,7 @@ from .bundle_tables import (
     two_runs,
 )
 from .rerun import RerunPanel
-from .widgets import BOX, MUTED, Html, bind, esc, prop, put
+from .widgets import BOX, MUTED, QUIET, Html, bind, esc, prop, put
 
 FIT = "fit"
 EXTERIOR = ("X", "Y", "Z", "ω", "φ", "κ")
@@ -60,16 +60,16 @@ class BundlePanel:
         self._run.on_click(lambda _: emit(RunBundle()))
         self._stop = gui.add_button("Stop bundle", hint="Stop; the rows so far stay and can be stepped through.", color="red")
         self._stop.on_click(lambda _: emit(StopBundle()))
-        self._on = gui.add_button("Continue bundle", hint="Go on from the row shown; later rows are made anew.", color="gray")
+        self._on = gui.add_button("Continue bundle", hint="Go on from the row shown; later rows are made anew.", color=QUIET)
         self._on.on_click(lambda _: emit(RunBundle(on=True)))
         follow = gui.add_button("Follow run", hint="Show the rows of the project's latest run, also of one that collinea adjust "
-                                "is making now; go on from any of them.", color="gray")
+                                "is making now; go on from any of them.", color=QUIET)
         follow.on_click(lambda _: emit(FollowBundle()))
         self._text = Html(gui)
         self._hold = gui.add_button("Set bundle aside", hint="Keep it here while the next one runs, to see both beside each "
-                                    "other.", color="gray")
+                                    "other.", color=QUIET)
         self._hold.on_click(lambda _: emit(HoldBundle()))
-        self._away = gui.add_button("Put it away", hint="Forget the bundle that was set aside.", color="gray")
+        self._away = gui.add_button("Put it away", hint="Forget the bundle that was set aside.", color=QUIET)
         self._away.on_click(lambda _: emit(HoldBundle(on=False)))
         self._beside = Html(gui)
         self._drawing(desk)
@@ -77,10 +77,10 @@ class BundlePanel:
         self._plots = Html(gui)
         self._tables = Html(gui)
         keep = gui.add_button("Keep bundle as a run", hint="Trace, result.json and recording in the project's folder runs/, as "
-                              "collinea adjust leaves them.", color="gray")
+                              "collinea adjust leaves them.", color=QUIET)
         keep.on_click(lambda _: emit(KeepBundle()))
         show = gui.add_button("Bundle in rerun", hint="Keep it as a run and open its recording in rerun, beside the scene.",
-                              color="gray")
+                              color=QUIET)
         show.on_click(lambda _: emit(KeepBundle(open=True)))
         self._rerun = RerunPanel(gui, emit, desk.state)
         self._opened = 0

@@ -68,8 +68,8 @@ def advice_html(state: State) -> str:
     if found is None or found.advice is None:
         return f"<div {MUTED}>{esc(found.error) if found else 'No advice yet.'}</div>"
     reasons = "".join(f"<li>{esc(r)}</li>" for r in found.advice.reasons)
-    return f'<div role="note" aria-label="Advice"><b>Advice: {esc(found.advice.model)}</b><ul style="margin:2px 0 6px 18px">' \
-           f"{reasons}</ul></div>"
+    return f'<div role="note" aria-label="Advice"><b>Advice: {esc(found.advice.model)}</b>' \
+           f'<ul style="margin:2px 0 6px;padding-left:18px">{reasons}</ul></div>'
 
 
 def solutions_table(state: State) -> str:

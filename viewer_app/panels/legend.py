@@ -35,8 +35,9 @@ def legend_html(state: State) -> str:
     dark = state.view.dark
     rows = [_row(_line(colour), MEANINGS[name]) for name, colour in legend(dark).items() if name not in ("control", "check")]
     rows += [_row(_symbol(CONTROL, "circle"), MEANINGS["control"]), _row(_symbol(CHECK, "triangle"), MEANINGS["check"])]
-    rows.append(_row(_line(ORTHOGONAL, "4 2"), "dashed: one pass through the prior (long), as the papers print it (short)"))
-    rows.append(_row(_line(PERSPECTIVE, "4 2"), "dashed: perspective that observes the prior"))
+    rows.append(_row(_line(ORTHOGONAL, "7 2"), "long dashes: one orthogonal pass through the prior"))
+    rows.append(_row(_line(ORTHOGONAL, "3 2"), "short dashes: the same in the papers' printed form"))
+    rows.append(_row(_line(PERSPECTIVE, "7 2"), "dashed: perspective that observes the prior"))
     rows.append(_row(_line(foreground(dark)), "arrow between frustums: difference of the models, exaggeration beside it"))
     drawn = (
         f"residuals on the ground × {vector_scale(state):g} · residuals on the photo × {state.view.photo_vectors:g} · "

@@ -21,7 +21,7 @@ from ..lists import COLUMNS, MOST, Column, Row, ShowRows, SortBy, Tables, as_csv
 from ..state import Photo, State
 from ..tabs import Command, Desk, Tab
 from ..theme import CHECK, CONTROL, INITIAL, RESIDUAL
-from .widgets import BOX, MUTED, Html, bind, css, decimals, esc, put, swatch
+from .widgets import BOX, MUTED, QUIET, Html, bind, css, decimals, esc, put, swatch
 
 THUMB = 44
 """Longer side of a thumbnail in the list, pixels of the page."""
@@ -38,7 +38,7 @@ class PointsPanel:
         bind(self._filter, desk.emit, lambda value: ShowRows(str(value)))
         self._wide = gui.add_checkbox("Wide panel", False, hint="Twice the width for this panel, in every browser.")
         self._table = Html(gui)
-        csv = gui.add_button("Points as CSV", hint="Download the table as shown, metres and pixels.", color="gray")
+        csv = gui.add_button("Points as CSV", hint="Download the table as shown, metres and pixels.", color=QUIET)
         csv.on_click(lambda event: download(desk, event.client, "points"))
         self._wide.on_update(lambda _: gui.main_panel.set_width(WIDE if self._wide.value else NARROW))
 
@@ -63,7 +63,7 @@ class ImagesPanel:
         self._orientations = Html(gui)
         self._shows: tuple[Any, ...] | None = None
         for label, name in (("Images as CSV", "images"), ("Orientations as CSV", "orientations")):
-            button = gui.add_button(label, hint="Download the table as shown; metres, degrees and pixels.", color="gray")
+            button = gui.add_button(label, hint="Download the table as shown; metres, degrees and pixels.", color=QUIET)
             button.on_click(lambda event, name=name: download(desk, event.client, name))
 
     def draw(self, state: State) -> None:

@@ -30,7 +30,7 @@ from ..state import State
 from ..tabs import Command, Desk, Tab
 from .pair import SCRIPT, Panes
 from .patches import found_html, headline
-from .widgets import BOX, MUTED, Html, bind, css, esc, prop, put, swatch, table
+from .widgets import BOX, MUTED, QUIET, Html, bind, css, esc, prop, put, swatch, table
 
 NEW = "new tie point"
 WIDTHS = {"narrow": 410, "wide": 760, "very wide": 1200}
@@ -124,7 +124,7 @@ class MatchingPanel:
             "scene and predicts matches. The project is not changed.",
         )
         self._adjust.on_click(lambda _: emit(Start("adjust")))
-        self._stop = gui.add_button("Stop", hint="Stop the search or the bundle; what is done of a search is kept.", color="gray")
+        self._stop = gui.add_button("Stop", hint="Stop the search or the bundle; what is done of a search is kept.", color=QUIET)
         self._stop.on_click(lambda _: emit(Start("")))
 
     def draw(self, state: State) -> None:

@@ -32,7 +32,7 @@ from ..state import State
 from ..tabs import Command, Desk, Tab
 from ..uploads import keep_map
 from .mosaic_words import drift_html, layer_html, measured_html, progress_html, residuals_html, step_html, summary_html
-from .widgets import Html, bind, prop, put
+from .widgets import QUIET, Html, bind, prop, put
 
 FIT = "fit"
 
@@ -57,7 +57,7 @@ class MosaicPanel:
             "Both", "The simultaneous and the sequential mosaic, to see the drift and how it closes.", lambda: MakeMosaic("both")
         )
         self._cancel = gui.add_button(
-            "Cancel mosaic work", hint="Stops making, comparing and writing; what is finished stays.", color="gray"
+            "Cancel mosaic work", hint="Stops making, comparing and writing; what is finished stays.", color=QUIET
         )
         self._cancel.on_click(lambda _: emit(CancelMosaic()))
         self._progress = Html(gui)

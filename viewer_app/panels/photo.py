@@ -30,7 +30,7 @@ from ..spots import plotted
 from ..state import MODELS, Photo, State, Work
 from ..tabs import Command, Desk, Tab
 from ..theme import CHECK, CONTROL, INITIAL, RESIDUAL
-from .widgets import BOX, MUTED, Html, bind, css, decimals, esc, jpeg, prop, put, swatch, table
+from .widgets import BOX, MUTED, QUIET, Html, bind, css, decimals, esc, jpeg, prop, put, swatch, table
 
 CLICKS = {"measures the point": "measure", "gives ground coordinates": "monoplot"}
 ZOOMS = ("+", "−", "whole", "800 %")
@@ -74,10 +74,10 @@ class PhotoPanel:
             "Place mark", hint="The mark becomes the observation of its point; everything is solved again.", color="green"
         )
         self._place.on_click(lambda _: emit(Place()))
-        self._unmark = gui.add_button("Drop mark", hint="Forget the mark.", color="gray")
+        self._unmark = gui.add_button("Drop mark", hint="Forget the mark.", color=QUIET)
         self._unmark.on_click(lambda _: emit(Unmark()))
         self._spots = Html(gui)
-        self._forget = gui.add_button("Forget places", hint="Forget the places plotted on the ground.", color="gray")
+        self._forget = gui.add_button("Forget places", hint="Forget the places plotted on the ground.", color=QUIET)
         self._forget.on_click(lambda _: emit(ForgetSpots()))
 
     def draw(self, state: State) -> None:

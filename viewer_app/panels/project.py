@@ -1,4 +1,4 @@
-"""The Project tab: what is open, what is shown, and the ways out of the viewer."""
+"""The Project tab: what is open, saved and told in rerun; and the Scene tab: what is shown."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import viser
 from solvers import PhotogrammetryError
 from solvers.io import write_project
 
-from .. import export, theme
+from .. import theme
 from ..actions import ChooseImage, Saved, Say, Show
 from ..bridge import Wire
 from ..flying import asked_by, through
 from ..looking import Looking, Opacity, looked_through
 from ..overlay import overlay
 from ..state import MODELS, State, measured
-from ..tabs import Command, Desk, Tab, whole_scene
+from ..tabs import Command, Desk, Tab
 from .rerun import RerunPanel
-from .widgets import BOX, Html, bind, esc, prop, put, swatch, table
+from .widgets import BOX, QUIET, Html, bind, esc, prop, put, swatch, table
 
 SHOWN = (
     (
@@ -69,22 +69,17 @@ class ProjectPanel:
         self._text = Html(gui)
         self._drawn: tuple[object, ...] = ()
         for label, (hint, way) in self._ways().items():
-            button = gui.add_button(label, hint=hint, color=None if label == "Open in rerun" else "gray")
+            button = gui.add_button(label, hint=hint, color=None if label == "Open in rerun" else QUIET)
             button.on_click(lambda event, way=way: way(event.client))
             gui.add_command(label).on_trigger(lambda event, way=way: way(event.client))  # type: ignore[attr-defined]
         self._dark = gui.add_checkbox("Dark", False, hint="Dark or light colours, for every browser of this viewer.")
         bind(self._dark, emit, lambda value: Show("dark", bool(value)))
 
     def _ways(self) -> dict[str, tuple[str, Way]]:
-        """The ways out: label, hint and what is done for the browser that asked."""
+        """Buttons: label, hint and what is done for the browser that asked."""
         return {
             "Open in rerun": ("The run of every image with rerun's own timeline, in a panel beside the scene.", self._rerun.open),
             "Save project": ("Write points, observations and project.toml into the project folder.", self._save),
-            "Scene as GLB": (
-                "Download what is shown as binary glTF, in metres of the scene's origin.",
-                lambda c: self._download(c, "glb"),
-            ),
-            "Scene as PLY": ("Download terrain, planes and frustums as one coloured mesh.", lambda c: self._download(c, "ply")),
         }
 
     def _save(self, client: viser.ClientHandle | None) -> None:
@@ -98,14 +93,6 @@ class ProjectPanel:
             self._desk.emit(Say(f"The project was not saved: {error}"))
             return
         self._desk.emit(Saved(state.block, str(state.assets.folder)))
-
-    def _download(self, client: viser.ClientHandle | None, kind: str) -> None:
-        if client is None:
-            return
-        state = self._desk.state()
-        data = (export.glb if kind == "glb" else export.ply)(whole_scene(state))
-        name = "".join(c if c.isalnum() or c in "-_" else "_" for c in state.block.name) or "scene"
-        client.send_file_download(f"{name}.{kind}", data)
 
     def close(self) -> None:
         self._rerun.close()

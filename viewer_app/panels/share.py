@@ -1,10 +1,11 @@
-"""The tab Export: the offline replay, the recording, a picture, tables, and the project as one file."""
+"""The tab Export: the offline replay, the recording, a picture, tables, the mosaic, the scene, and the project as one file."""
 
 from __future__ import annotations
 
 import io
 import logging
 import tempfile
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,14 +13,19 @@ import viser
 
 from solvers import BadProject, PhotogrammetryError
 
-from .. import share
+from .. import export, share
 from ..actions import Say
+from ..mosaic_actions import WriteMosaic
+from ..mosaic_state import Mosaic
 from ..state import State
-from ..tabs import Desk, Tab
-from .widgets import BOX, MUTED, Html
+from ..tabs import Desk, Tab, whole_scene
+from .widgets import BOX, MUTED, QUIET, Html, esc
 
 PICTURE = (2160, 3840)
 """Height and width of the picture, pixels: 4K."""
+MOSAIC, LARGEST = "mosaic.tif", 2**30
+"""The mosaic's file in the project's folder; bytes of it handed to a browser at most."""
+TERMINAL = "collinea export PROJECT --html replay.html --rrd run.rrd --png scene.png --csv tables --zip project.zip"
 
 
 class SharePanel:
@@ -40,15 +46,33 @@ class SharePanel:
                 "Points, images and orientations; metres, degrees, pixels.",
                 lambda _: share.tables_zip(desk.state()),
             ),
+            "Scene as GLB": (
+                "glb",
+                "What is shown as binary glTF, in metres from the scene's origin.",
+                lambda _: export.glb(whole_scene(desk.state())),
+            ),
+            "Scene as PLY": (
+                "ply",
+                "Terrain, planes and frustums as one coloured mesh, in metres from the scene's origin.",
+                lambda _: export.ply(whole_scene(desk.state())),
+            ),
             "Project as ZIP": ("zip", "The project folder as saved, photos included, in one file.", lambda _: self._project()),
         }
         for label, (kind, hint, make) in ways.items():
-            button = desk.gui.add_button(label, hint=hint, color="gray")
+            button = desk.gui.add_button(label, hint=hint, color=QUIET)
             button.on_click(lambda event, label=label, kind=kind, make=make: self._hand(event.client, label, kind, make))
-        self._note = Html(desk.gui)
-        self._note.set(
-            f"<div {BOX}><div {MUTED}>The same from a terminal: collinea export PROJECT --html replay.html</div></div>"
+        mosaic = desk.gui.add_button(
+            "Mosaic as GeoTIFF", color=QUIET, hint="The mosaic at full resolution; written into the project, then handed over."
         )
+        mosaic.on_click(lambda event: self._write(event.client))
+        self._asked: tuple[viser.ClientHandle, int] | None = None
+        self._note = Html(desk.gui)
+
+    def _write(self, client: viser.ClientHandle | None) -> None:
+        """Ask for the mosaic's file; `draw` hands it over once it is written."""
+        if client is not None:
+            self._asked = client, self._desk.state().room(Mosaic).written
+            self._desk.emit(WriteMosaic(MOSAIC))
 
     def _hand(
         self, client: viser.ClientHandle | None, label: str, kind: str, make: Callable[[viser.ClientHandle], bytes]
@@ -76,7 +100,21 @@ class SharePanel:
         return share.project_zip(folder)
 
     def draw(self, state: State) -> None:
-        """Nothing here depends on the state."""
+        room, folder = state.room(Mosaic), state.assets.folder
+        busy = any(b.startswith("write|") for b in room.busy)
+        going = f"<div>{esc(room.progress or 'Writing the mosaic')} …</div>" if busy and self._asked else ""
+        said = f"<div>{esc(room.message)}</div>" if self._asked and not busy else ""
+        self._note.set(f"<div {BOX}>{going}{said}<div {MUTED}>From a terminal: {esc(TERMINAL)}</div></div>")
+        if self._asked is not None and folder is not None and room.written > self._asked[1] and not busy:
+            client, _ = self._asked
+            self._asked = None
+            threading.Thread(target=self._give, args=(client, folder / MOSAIC), name="collinea-mosaic", daemon=True).start()
+
+    def _give(self, client: viser.ClientHandle, file: Path) -> None:
+        if file.stat().st_size > LARGEST:
+            self._desk.emit(Say(f"The mosaic is too large for a browser; it lies in the project: {file}"))
+        else:
+            client.send_file_download(f"{file_name(self._desk.state())}.tif", file.read_bytes())
 
 
 def picture(client: viser.ClientHandle) -> bytes:

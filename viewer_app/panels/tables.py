@@ -90,17 +90,25 @@ def _number(value: float | None) -> str:
     return "–" if value is None or not np.isfinite(value) else f"{value:.3f}"
 
 
-def words(state: State) -> str:
-    """What is going on, what went wrong and what to mind, in sentences."""
-    lines = []
+def status(state: State) -> str:
+    """One line over all tabs: what is going on and what was said last; else what is open."""
     todo = {(j.image, j.model) for j in wanted(state)}
     busy = [m for m in (*MODELS, ADVICE) if (state.image, m) in todo]
+    lines = []
     if busy:
         lines.append(f"<div>Solving {esc(state.image)}: {' and '.join(busy)} …</div>")
     elif todo:
         lines.append(f"<div {MUTED}>Solving the other images: {_waiting(state)} to do …</div>")
     if state.message:
         lines.append(f"<div>{esc(state.message)}</div>")
+    still = f"<div {MUTED}>{esc(' · '.join(filter(None, (state.block.name, state.image, state.point))))}</div>"
+    style = 'style="padding:4px 12px 0;font-size:12px;line-height:1.45"'
+    return f'<div {style} role="status" aria-label="Status">{"".join(lines) or still}</div>'
+
+
+def words(state: State) -> str:
+    """What went wrong and what to mind, in sentences."""
+    lines = []
     for model in MODELS:
         solution = state.solution(model)
         if solution is None:

@@ -48,7 +48,7 @@ class TracePanel:
             if buttons.value in actions:
                 emit(actions[buttons.value])
 
-        self._speed = gui.add_slider("Rows per second", 0.5, 20.0, 0.5, 2.0, hint="Speed of play, rows per second.")
+        self._speed = gui.add_slider("Rows / second", 0.5, 20.0, 0.5, 2.0, hint="Speed of play, rows per second.")
         bind(self._speed, emit, lambda value: Speed(float(value)))
         self._figure = gui.add_dropdown(
             "Figure",
@@ -58,7 +58,7 @@ class TracePanel:
         )
         bind(self._figure, emit, ChooseFigure)
         self._keep = gui.add_checkbox(
-            "Keep this run beside",
+            "Keep this run",
             False,
             hint="The traces of this image as they are now stay, thin and pale, and are stepped with those that you solve next "
             "with other points or settings.",

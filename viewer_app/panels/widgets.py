@@ -62,6 +62,8 @@ def swatch(colour: Colour) -> str:
     )
 
 
+QUIET = (84, 92, 100)
+"""Colour of a button that is not what one mostly comes for."""
 BOX = 'style="padding:2px 12px 8px;font-size:12px;line-height:1.45"'
 MUTED = 'style="opacity:.65"'
 
