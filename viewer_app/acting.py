@@ -32,12 +32,26 @@ def handles(*kinds: type[Action]) -> Callable[[Handler], Handler]:
     return mark
 
 
+UNDONE: dict[type[Action], str] = {}
+CHOICES: dict[str, tuple[Callable[[State], Any], Callable[[State, Any], State]]] = {}
+
+
+def undone(name: str, *kinds: type[Action], get: Callable[[State], Any], put: Callable[[State, Any], State]) -> None:
+    """From now on undo takes back what these kinds of actions change outside the work: a choice by a name of its own, that get
+    reads (values that compare by ==) and put writes. Nothing is solved anew for it."""
+    CHOICES[name] = get, put
+    UNDONE.update(dict.fromkeys(kinds, name))
+
+
 def update(state: State, action: Action) -> State:
     """The state after an action; the same state where the action means nothing (an unknown name, a value out of range)."""
     handler = HANDLERS.get(type(action))
     if handler is None:
         raise TypeError(f"nothing handles {type(action).__name__}")
-    return handler(state, action)
+    after, name = handler(state, action), UNDONE.get(type(action))
+    if name is None or (before := CHOICES[name][0](state)) == CHOICES[name][0](after):
+        return after
+    return replace(after, past=(*after.past, replace(state.work, aside=(name, before)))[-HISTORY:], future=())
 
 
 def edit(state: State, *, solve: bool = True, **changes: Any) -> State:
@@ -75,10 +89,16 @@ def travel(state: State, back: str, forth: str) -> State:
     if not stack:
         return replace(state, message="Nothing to undo." if back == "past" else "Nothing to redo.")
     other: tuple[Work, ...] = getattr(state, forth)
+    changes: dict[str, Any]
     work = stack[-1]
+    if work.aside is not None:
+        name, value = work.aside
+        get, put = CHOICES[name]
+        changes = {back: stack[:-1], forth: (*other, replace(state.work, aside=(name, get(state))))}
+        return replace(put(state, value), message="", **changes)
     if work.revision == state.work.revision:  # the same observations: what was solved since still holds
         work = replace(work, solutions=state.work.solutions)
-    changes: dict[str, Any] = {back: stack[:-1], forth: (*other, state.work)}
+    changes = {back: stack[:-1], forth: (*other, state.work)}
     return follow(replace(state, work=work, mark=None, held=None, message="", **changes))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from solvers.block import Observations
 
-from .acting import Action, edit, handles
+from .acting import Action, edit, handles, undone
 from .state import Mark, Spot, State
 
 SPOTS = 50
@@ -67,6 +67,9 @@ def _plot(state: State, action: Plot | ForgetSpots) -> State:
     if not state.block.images or not bool(state.block.camera_of(state.image).inside(np.array([action.col, action.row]))):
         return state
     return replace(state, spots=(*state.spots, Spot(state.image, float(action.col), float(action.row)))[-SPOTS:], message="")
+
+
+undone("spots", Plot, ForgetSpots, get=lambda state: state.spots, put=lambda state, spots: replace(state, spots=spots))
 
 
 @handles(Aim, Place, Unmark)

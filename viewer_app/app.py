@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,11 +22,13 @@ from solvers import Unsupported
 from .actions import Action, Say, Tick, update
 from .actions_solve import Failed, Rows, Solved
 from .bridge import LOCAL_HOSTS, Wire, controls, guard_values, open_server
+from .desktop import Desktop, OpenedTab
 from .flying import Fly, asked_by, flight
 from .home import home, home_beside
 from .jobs import Jobs
 from .keeping import Keeper, resume
 from .loading import bring, open_project
+from .looking import looked_through
 from .matching_state import Matching, Network
 from .overlay import view_through
 from .paint_viser import Painter
@@ -40,7 +43,7 @@ PICK_PIXELS = 12.0
 """How far from a point's middle a click still means it, pixels of the screen."""
 LATENCIES = 200
 STARTS = 20
-"""Places where browsers began that are remembered."""
+"""Places where browsers began, or were put, that are remembered."""
 PATIENCE = 0.04
 """How long a repaint waits for the chosen image's solutions, which then come in the same picture, seconds; anything else that
 happens meanwhile is answered at once."""
@@ -59,7 +62,9 @@ class App:
             raise Unsupported(f"host {host} would open the project to other machines; give a token as well (--token WORD)")
         opened = folder if isinstance(folder, State) else open_project(folder)
         self._state = resume(opened)
-        self._keeper = Keeper(opened.assets.folder, opened.block, lambda: self._state)
+        self._view = self._state.room(Desktop).view
+        self._keeper = Keeper(opened.assets.folder, opened.block, self._left_as)
+        self._viewed = 0.0
         self._actions: queue.Queue[Action | Callable[[], None] | None] = queue.Queue()
         self.latencies: list[float] = []
         self.server = open_server(host, port, token)
@@ -97,6 +102,8 @@ class App:
         self._actions.put(None)
         self._loop.join(timeout=10)
         self._reader.join(timeout=10)
+        if self._view != self._state.room(Desktop).view:
+            self._keeper.changed()
         self._keeper.close()
         self._jobs.close()
         for panel in self._panels:
@@ -251,7 +258,7 @@ class App:
         self._before: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray, float]] = {}
         self._home: tuple[np.ndarray, np.ndarray, float] | None = None
         self._canvases: dict[int, tuple[float, float]] = {}
-        self._homes: dict[int, np.ndarray] = {}
+        self._homes: dict[int, list[np.ndarray]] = {}
         self._starts: list[np.ndarray] = []
         self._placed: Network | None = None
         server.initial_camera.fov = np.radians(45)
@@ -303,22 +310,28 @@ class App:
         self._starts = [*self._starts[-STARTS:], position]
         camera = self.server.initial_camera
         camera.position, camera.look_at, camera.far, camera.near = position, at, far, far / 20000
+        if self._view:
+            camera.position, camera.look_at = np.array(self._view[:3]), np.array(self._view[3:])
         for client in self.server.get_clients().values():
             self._frame(client)
 
     def _frame(self, client: viser.ClientHandle) -> None:
         """Show a browser all there is beside the panels that lie over its canvas, unless it has moved: it stands neither where it
         was put last nor where browsers begin."""
+        if self._unmoved(client.client_id, client.camera.position):
+            self._show_all(client)
+
+    def _show_all(self, client: viser.ClientHandle) -> None:
         size, shown = self._canvases.get(client.client_id), client.camera
-        if size is None or not self._unmoved(client.client_id, shown.position):
+        if size is None:
             return
         position, at = home_beside(self._state, *size, float(shown.fov))
-        self._homes[client.client_id] = position
+        self._homes[client.client_id] = [*self._homes.get(client.client_id, [])[-STARTS:], position]
         with client.atomic():
             shown.position, shown.look_at = position, at
 
     def _unmoved(self, client_id: int, position: np.ndarray) -> bool:
-        known = np.array([*self._starts, self._homes.get(client_id, self._starts[0])])
+        known = np.array([*self._starts, *self._homes.get(client_id, [])])
         return bool((np.abs(known - position) < 1e-3 + 1e-3 * np.abs(known)).all(axis=1).any())
 
     def _sized(self, client_id: int | None, value: Any) -> None:
@@ -333,11 +346,34 @@ class App:
         """A page has a camera of its own until it has taken ours."""
 
         async def looks(camera: viser.CameraHandle) -> None:
-            if client.client_id not in self._homes and self._unmoved(client.client_id, camera.position):
-                self._actions.put(lambda: self._frame(client))
+            if self._unmoved(client.client_id, camera.position):
+                if client.client_id not in self._homes:
+                    self._actions.put(lambda: self._frame(client))
+                return
+            here = *camera.position, *camera.look_at
+            if client.client_id not in self._homes and self._view and np.allclose(here, self._view, rtol=1e-3, atol=1e-3):
+                self._homes[client.client_id] = [np.array(self._view[:3])]  # it looks as the last one did
+            elif client.client_id in self._homes:
+                self._looked(camera)
 
         client.camera.on_update(looks)
         self._actions.put(lambda: self._frame(client))
+        room = self._state.room(Desktop)
+        if opened := [name for name in (room.side, room.below) if name]:
+            self._wire.open(client.client_id, opened)
+
+    def _looked(self, camera: viser.CameraHandle) -> None:
+        """Keep from where somebody looks, but not through which photo."""
+        if looked_through(self._state) or camera.client.client_id in self._before:
+            return
+        self._view = tuple(map(float, (*camera.position, *camera.look_at)))
+        if time.monotonic() - self._viewed > 0.5:
+            self._viewed = time.monotonic()
+            self._keeper.changed()
+
+    def _left_as(self) -> State:
+        """The state with the view of who moved last, which is no part of it while people move."""
+        return self._state.with_room(replace(self._state.room(Desktop), view=self._view))
 
     def _left(self, client: viser.ClientHandle) -> None:
         for known in (self._canvases, self._homes, self._before):
@@ -348,6 +384,10 @@ class App:
         for number, client in self.server.get_clients().items():
             camera = client.camera
             if action.client not in (None, number) and action.what != "back":
+                continue
+            if action.what == "home":
+                self._view = ()
+                self._show_all(client)
                 continue
             if action.what in ("through", "back"):
                 self._through(client, action)
@@ -381,6 +421,8 @@ class App:
         """What came through the wire; anyone who can open the page can send anything: the tabs check it again."""
         if kind == "canvas":
             self._actions.put(lambda: self._sized(client, value))
+        if kind == "tab" and (tab := next((t for t in tabs() if t.name == value), None)) is not None:
+            self.emit(OpenedTab(tab.place, tab.name))
         for tab in tabs():
             if (heard := tab.heard.get(kind)) is not None and (action := heard(self._state, value)) is not None:
                 self.emit(asked_by(action, client))

@@ -278,13 +278,19 @@ class Wire:
 
     def reach(self, client_id: int, tab: str, label: str) -> None:
         """Bring a text box or a file's button of a tab before the keyboard of one browser."""
+        self._run_in(client_id, f"collinea.reach({json.dumps(tab)}, {json.dumps(label)})")
+
+    def open(self, client_id: int, tabs: list[str]) -> None:
+        """Open tabs in one browser."""
+        self._run_in(client_id, f"collinea.open({json.dumps(tabs)})")
+
+    def _run_in(self, client_id: int, source: str) -> None:
         if not self.works:
             return
         from viser import _messages
 
         for client in self._server.get_clients().values():
             if client.client_id == client_id:
-                source = f"collinea.reach({json.dumps(tab)}, {json.dumps(label)})"
                 client._websock_connection.queue_message(_messages.RunJavascriptMessage(source=source))
 
     async def _update(self, event: Any) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 from solvers.adjustment import Iteration
 from solvers.cameras import PARAMETERS
 
-from .acting import Action, follow, handles
+from .acting import Action, follow, handles, undone
 from .bundle_state import Bundle, Held, allowed, asked_of, taking_part
 from .bundle_values import Ended, Judged, Kept, Layout
 from .state import State
@@ -111,6 +111,21 @@ def _of_every_image(state: State, action: OfEveryImage) -> State:
     own = tuple(p for p in PARAMETERS if (action.own if p == action.name else p in room.per_image))
     free = tuple(p for p in PARAMETERS if p in room.free or p in own)
     return state.with_room(replace(room, per_image=own, free=free)) if (own, free) != (room.per_image, room.free) else state
+
+
+OPTIONS = ("model", "transform", "datum", "free", "loss", "start", "per_image", "images", "shutter")
+
+
+def _options(state: State) -> tuple[Any, ...]:
+    room = state.room(Bundle)
+    return tuple(getattr(room, name) for name in OPTIONS)
+
+
+def _with_options(state: State, values: tuple[Any, ...]) -> State:
+    return follow(state.with_room(replace(state.room(Bundle), **dict(zip(OPTIONS, values, strict=True)))))
+
+
+undone("bundle", SetBundle, FreeParameter, OfEveryImage, get=_options, put=_with_options)
 
 
 @handles(HoldBundle)

@@ -18,7 +18,7 @@ from .state import State
 @dataclass(frozen=True)
 class Fly(Action):
     """Choose a point or an image and let the browser that asked look at it, or "through" an image, or "back" from there, or at
-    all "points" from where the images are.
+    all "points" from where the images are, or at all there is, from "home".
 
     client: its number, None for all.
     """

@@ -11,7 +11,7 @@ from solvers import Block
 from solvers.block import Observations, Points
 from solvers.matching.ties import SIGMA_PX
 
-from .acting import Action, edit, handles
+from .acting import Action, edit, handles, undone
 from .matching_state import COLOURS, SIDES, Ask, Found, Look, Matching, Network
 from .sighting import exterior_of, sees, where
 from .state import State
@@ -432,6 +432,15 @@ def with_observation(block: Block, image: str, point: str, pixel: np.ndarray, si
         np.append(of.sigma[stay], round(sigma, 4)),
     )
     return replace(block, observations=new)
+
+
+TUNED = ("window", "search", "threshold")
+undone(
+    "matching",
+    Tune,
+    get=lambda s: tuple(getattr(s.room(Matching), name) for name in TUNED),
+    put=lambda s, v: s.with_room(replace(s.room(Matching), **dict(zip(TUNED, v, strict=True)))),
+)
 
 
 def heard(value: str) -> Action | None:

@@ -12,7 +12,7 @@ from solvers import Block
 from solvers.mosaic import seen_by
 
 from . import matching_actions as matching
-from .acting import Action, edit, handles, update
+from .acting import Action, edit, handles, undone, update
 from .matching_state import Matching
 from .mosaic_state import (
     BLENDS,
@@ -249,6 +249,16 @@ def _conjugate(state: State, room: Mosaic, made: Made, at: np.ndarray) -> State:
 def _forget(state: State, action: ForgetPlaces) -> State:
     room = state.room(Mosaic)
     return state.with_room(replace(room, places=() if action.all else room.places[:-1])) if room.places else state
+
+
+undone("mosaic", Choose, get=lambda s: s.room(Mosaic).ask, put=lambda s, ask: s.with_room(replace(s.room(Mosaic), ask=ask)))
+undone(
+    "places",
+    ClickMosaic,
+    ForgetPlaces,
+    get=lambda s: s.room(Mosaic).places,
+    put=lambda s, places: s.with_room(replace(s.room(Mosaic), places=places)),
+)
 
 
 @handles(OpenLayer, WriteMosaic)

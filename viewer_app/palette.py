@@ -12,20 +12,23 @@ from .bridge import Wire, controls, operate
 def complete(gui: viser.GuiApi, labels: set[str], wire: Wire, tab_of: dict[str, str]) -> None:
     """Commands for the controls whose label is not among those there are. tab_of: name of the tab by a control's uuid."""
     for handle in controls(gui):
-        label = getattr(handle._impl.props, "label", None)
+        label, tab = getattr(handle._impl.props, "label", None), tab_of.get(handle._impl.uuid, "")
         if label is None or label == "wire":
             continue
         if isinstance(handle, viser.GuiTextHandle | viser.GuiUploadButtonHandle):
             words = f"{label}: {'type' if isinstance(handle, viser.GuiTextHandle) else 'choose a file'}"
-            hint = getattr(handle._impl.props, "hint", None)
-            gui.add_command(words, description=hint).on_trigger(_reach(wire, tab_of[handle._impl.uuid], label))
+            gui.add_command(words, description=_told(handle, tab)).on_trigger(_reach(wire, tab, label))
             continue
         for words, step in _steps(handle, label):
             if words in labels:
                 continue
             labels.add(words)
-            hint = getattr(handle._impl.props, "hint", None)
-            gui.add_command(words, description=hint).on_trigger(_act(gui, handle, step))
+            gui.add_command(words, description=_told(handle, tab)).on_trigger(_act(gui, handle, step))
+
+
+def _told(handle: Any, tab: str) -> str:
+    """The tab, for a label may be short, and the control's hint."""
+    return " · ".join(filter(None, (tab, getattr(handle._impl.props, "hint", None))))
 
 
 def _steps(handle: Any, label: str) -> list[tuple[str, Any]]:

@@ -46,12 +46,12 @@ def fingerprint(block: Block) -> str:
 def to_json(state: State, disk: Block) -> dict[str, Any]:
     """The session of a state. disk: the block as the project's files hold it."""
     works, room = [], LARGEST
-    for work in (state.work, *state.past[::-1], *state.future[::-1]):
+    past, future = ([w for w in stack if w.aside is None] for stack in (state.past, state.future))
+    for work in (state.work, *past[::-1], *future[::-1]):
         said = _work_to_json(work, disk)
         room -= said.pop("rows")
         works.append(said if room >= 0 else None)
-    past = works[1 : 1 + len(state.past)][::-1]
-    future = works[1 + len(state.past) :][::-1]
+    past, future = works[1 : 1 + len(past)][::-1], works[1 + len(past) :][::-1]
     return {
         "version": VERSION,
         "disk": fingerprint(disk),

@@ -18,6 +18,7 @@ from solvers.adjustment import Iteration
 from .acting import update
 from .bundle_actions import RunBundle
 from .bundle_state import Bundle, bundle_choices, bundle_of_choices
+from .desktop import Desktop
 from .epochs import Epochs, GoToEpoch, reopened
 from .figures import FIGURES, Figure
 from .kept_run import KeptRun
@@ -109,6 +110,14 @@ def _photo(said: Any) -> PhotoView:
 kept(from_json=_tables)(Tables)
 kept(lambda room: {k: getattr(room, k) for k in ("image", "left", "top", "width", "pane")}, _photo)(PhotoView)
 kept(lambda room: {"opacity": room.opacity}, lambda said: Looking("", _number(said["opacity"], 0.0, 1.0)))(Looking)
+
+
+def _desktop(said: Any) -> Desktop:
+    view = tuple(_number(v, -1e9, 1e9) for v in said["view"])
+    return Desktop(str(said["side"])[:80], str(said["below"])[:80], view if len(view) == 6 else ())
+
+
+kept(from_json=_desktop)(Desktop)
 
 
 # -- which figure is shown, and the run kept beside those that follow

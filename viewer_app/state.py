@@ -102,7 +102,8 @@ class Solution:
 class Work:
     """What edits change and undo brings back. off: points switched off. A solution is fresh when its revision is this one.
 
-    rooms: values of tabs that are edited with the rest, by their type.
+    rooms: values of tabs that are edited with the rest, by their type. aside: of a step of undo that changes nothing of all this
+    but a choice beside it, the choice's name and value (`acting.undone`).
     """
 
     block: Block
@@ -111,6 +112,7 @@ class Work:
     revision: int = 0
     solutions: Mapping[tuple[str, str], Solution] = field(default_factory=dict)
     rooms: Mapping[type, Any] = field(default_factory=dict)
+    aside: tuple[str, Any] | None = None
 
     def room(self, kind: type[Room]) -> Room:
         """A tab's own edited value; its defaults before anything was said."""

@@ -140,18 +140,38 @@ window.collinea = (() => {
     addEventListener('pointerup', up, true);
     addEventListener('pointercancel', up, true);
   };
+  const named = (kind, words) => [...document.querySelectorAll(kind)].find(e => e.innerText.trim() === words);
+  const openTab = tab => {  // tabs listen to the pointer, for they can be dragged
+    const opened = named('[role=tab]', tab);
+    if (!opened || opened.getAttribute('aria-selected') === 'true') return;
+    const r = opened.getBoundingClientRect(), at = {bubbles: true, isPrimary: true, clientX: r.x + 4, clientY: r.y + 4};
+    for (const kind of ['pointerdown', 'pointerup']) opened.dispatchEvent(new PointerEvent(kind, at));
+  };
+  let touched = 0;  // when somebody last did something
+  for (const kind of ['pointerdown', 'keydown', 'wheel'])
+    document.addEventListener(kind, ev => { if (ev.isTrusted) touched = performance.now(); }, true);
+  const open = tabs => {  // as they were left; panels that are still being placed go back to their first tab
+    const since = performance.now();
+    const again = () => {
+      if (touched > since || performance.now() > since + 4000) return;
+      tabs.forEach(openTab);
+      setTimeout(again, 100);
+    };
+    again();
+  };
+  const told = ev => {
+    const tab = ev.target?.closest?.('[role=tab]');
+    if (tab) send('tab', tab.innerText.trim());
+  };
+  document.addEventListener('pointerup', told, true);
+  document.addEventListener('keyup', told, true);
   const reach = (tab, label, until = null) => {  // a box to type in gets the focus, a button is pressed
     if (document.querySelector('[role=dialog]')) {  // the palette is still closing
       requestAnimationFrame(() => reach(tab, label));
       return;
     }
     until ??= performance.now() + 3000;
-    const named = (kind, words) => [...document.querySelectorAll(kind)].find(e => e.innerText.trim() === words);
-    const opened = named('[role=tab]', tab);
-    if (opened && opened.getAttribute('aria-selected') !== 'true') {  // tabs listen to the pointer, for they can be dragged
-      const r = opened.getBoundingClientRect(), at = {bubbles: true, isPrimary: true, clientX: r.x + 4, clientY: r.y + 4};
-      for (const kind of ['pointerdown', 'pointerup']) opened.dispatchEvent(new PointerEvent(kind, at));
-    }
+    openTab(tab);
     let row = named('label', label);
     while (row && !row.querySelector('input, textarea')) row = row.parentElement;
     const box = row?.querySelector('input, textarea');
@@ -172,6 +192,6 @@ window.collinea = (() => {
     box.addEventListener('keydown', () => done.abort(), {signal});
     box.addEventListener('blur', back, {signal});
   };
-  return {send, press, key, change, typed, down, wheel, reach};
+  return {send, press, key, change, typed, down, wheel, reach, open};
 })();
 """

@@ -30,7 +30,7 @@ from viewer_app import theme
 from viewer_app.actions import ChooseImage, ChoosePoint, ForgetSpots, Show, Step, UseOnly, UsePoints
 from viewer_app.app import App
 from viewer_app.figures import CORRELATION, ELEMENTS, FIGURES
-from viewer_app.looking import looked_through
+from viewer_app.looking import Looking, looked_through
 from viewer_app.paint_viser import frustum_pose
 from viewer_app.photo_view import percent, window
 from viewer_app.scene import scene
@@ -112,6 +112,47 @@ def test_the_slider_and_the_plots_choose_a_row(session: Session) -> None:
     v.page.locator("svg[aria-label^='cost'] rect[data-value='1']").click()
     v.wait_until(lambda: app.state.row == 1 and mark.get_attribute("data-now") == "1", "row 1")
     act(app, v, Step("last"))
+
+
+def test_play_goes_at_the_speed_chosen_and_stops_at_the_end(session: Session) -> None:
+    app, v = session
+    v.open_tab("Iterations")
+    act(app, v, Step("first"))
+    before = app.state.speed
+    v.set_slider("Rows / second", 20)
+    until(app, v, lambda: app.state.speed == 20, "the speed")
+    v.click_button("▶❙❙")
+    v.wait_until(lambda: app.state.row == app.state.last_row and not app.state.playing, "the end")
+    v.set_slider("Rows / second", before)
+    until(app, v, lambda: app.state.speed == before, "the old speed")
+
+
+def names_drawn(v: ViserPage) -> set[str]:
+    """The nodes of the page's scene that are names of points and images."""
+    nodes = v.page.evaluate("() => Object.keys(window.__viserSceneTree.getState())")
+    return {n for n in nodes if n.startswith("/points/names/") or (n.startswith("/images/") and n.endswith("/label"))}
+
+
+def test_names_and_terrain_are_switched_on_and_off(session: Session) -> None:
+    app, v = session
+    state, terrain = app.state, app.state.assets.terrain
+    assert terrain is not None and not state.view.labels and not state.view.terrain  # the session draws neither
+    v.open_tab("Scene")
+    v.set_checkbox("Names", True)
+    v.set_checkbox("Terrain", True)
+    points = {f"/points/names/{n}" for n in state.block.points.names}
+    v.wait_until(lambda: names_drawn(v) == points | {f"/images/{i.name}/label" for i in state.block.images}, "every name")
+    v.wait_nodes("/ground/terrain")
+    heights = v.page.evaluate(
+        """() => { const at = []; window.__viserMutable.nodeRefFromName['/ground/terrain'].traverse(o => {
+            const p = o.geometry?.attributes?.position?.array; for (let i = 2; i < p?.length; i += 3) at.push(p[i]); });
+            return at; }""")
+    of_dem = terrain.vertices[:, 2]
+    assert len(heights) >= len(of_dem) and np.isclose(np.ptp(heights), np.ptp(of_dem), atol=1e-3) and np.ptp(of_dem) > 1
+    v.set_checkbox("Names", False)
+    v.set_checkbox("Terrain", False)
+    v.wait_until(lambda: not names_drawn(v) and v.visible("/ground/terrain") is None, "neither")
+    v.open_tab("Iterations")
 
 
 def written(v: ViserPage, node: str) -> str:
@@ -481,6 +522,14 @@ def test_one_looks_through_a_frustum_and_returns(session: Session) -> None:
     scale = np.linalg.lstsq(np.column_stack([pixel, np.ones(len(pixel))]), drawn, rcond=None)[0]
     off = np.column_stack([pixel, np.ones(len(pixel))]) @ scale - drawn
     assert np.abs(off).max() < 1.0  # px of the screen
+    v.open_tab("Scene")
+    v.set_slider("Photo opacity", 0.25)
+    material = """() => { let seen = null; window.__viserMutable.nodeRefFromName['/through']?.traverse(
+        o => { seen = o.material?.opacity ?? seen; }); return seen; }"""
+    v.wait_until(lambda: abs((v.page.evaluate(material) or 0) - 0.25) < 1e-6, "a paler photo")
+    v.set_slider("Photo opacity", 0.6)
+    until(app, v, lambda: app.state.room(Looking).opacity == 0.6, "the photo as before")
+    v.open_tab("Iterations")
     v.hotkey("Escape")
     v.wait_until(lambda: np.allclose(camera.position, before[0], atol=1e-3), "the way back")
     v.wait_until(lambda: abs(camera.fov - before[1]) < 1e-6, "the field of view")

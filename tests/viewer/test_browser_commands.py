@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import viser
 from rerun.chunk import RrdReader
@@ -33,6 +34,10 @@ from tests.viewer.sessions import (
 from viewer_app.actions import Show, Step, SwitchPoint, Undo
 from viewer_app.app import App
 from viewer_app.bridge import controls
+from viewer_app.bundle_actions import FreeParameter
+from viewer_app.bundle_state import Bundle
+from viewer_app.desktop import Desktop
+from viewer_app.tabs import tabs
 
 UNIT = re.compile(r"×|°|%|\b(m|mm|px|pixels?|metres|rows?|per second|epochs?|factor|no unit)\b", re.IGNORECASE)
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(200)]
@@ -69,16 +74,31 @@ def test_every_control_has_a_label_and_a_hint_and_every_number_a_unit(session: S
         assert props.label.strip() and props.hint and len(props.hint) > 10, props.label
         if isinstance(handle, viser.GuiSliderHandle | viser.GuiNumberHandle):
             assert UNIT.search(f"{props.label} {props.hint}"), props.label
-    assert seen > 40
+    assert seen > 100
 
 
-def test_every_control_has_a_command(session: Session) -> None:
+def test_every_control_has_a_label_of_its_own_and_its_own_command(session: Session) -> None:
+    """A button one of its name; anything else one for each thing that can be done with it: "Label: what"."""
     app, _ = session
-    words = " | ".join(commands(app))
-    for handle in controls(app.server.gui):
-        props: Any = handle._impl.props  # type: ignore[attr-defined]
-        if props.label != "wire":
-            assert props.label in words, props.label
+    every = [h.label for h in app.server.gui._command_handle_from_uuid.values()]  # type: ignore[attr-defined]
+    assert len(set(every)) == len(every)
+    found: Any = [h for h in controls(app.server.gui) if h._impl.props.label != "wire"]
+    kinds = [(type(h).__name__, h._impl.props.label) for h in found]
+    assert len(set(kinds)) == len(kinds) > 100
+    actions = {c.label for tab in tabs() for c in tab.commands}
+    for handle in found:
+        props: Any = handle._impl.props
+        label = props.label
+        if isinstance(handle, viser.GuiButtonGroupHandle):
+            wanted = {f"{label}: {option}" for option in props.options}
+        elif handle._impl.is_button and not isinstance(handle, viser.GuiUploadButtonHandle):
+            wanted = {label}
+        else:
+            ends = {viser.GuiCheckboxHandle: ("on or off",), viser.GuiDropdownHandle: ("next",), viser.GuiTextHandle: ("type",),
+                    viser.GuiUploadButtonHandle: ("choose a file",), viser.GuiSliderHandle: ("more", "less"),
+                    viser.GuiNumberHandle: ("more", "less")}  # fmt: skip
+            wanted = {f"{label}: {end}" for end in ends[type(handle)]}
+        assert wanted <= set(every) | actions, label
 
 
 def test_the_palette_steps_and_switches(session: Session) -> None:
@@ -226,19 +246,32 @@ def test_a_restart_reconnects_and_restores_the_state(session: Session, tmp_path_
         with another_page(session[1], first.port) as v:
             settle(first, v)
             point = first.state.control()[1]
-            act(first, v, SwitchPoint(point), Show("rays", False))
+            act(first, v, SwitchPoint(point), Show("rays", False), Show("vectors", 321.0), FreeParameter("c"))
             act(first, v, Step("first"))
-            before = first.state
+            v.open_tab("Compare")
+            v.open_tab("Scene")
+            until(first, v, lambda: first.state.room(Desktop).below == "Scene", "the tabs")
+            v.wait_until(lambda: bool(first._homes), "the first view")
+            camera = next(iter(first.server.get_clients().values())).camera
+            position = camera.position + np.array([3.0, -2.0, 1.0])
+            camera.position = position
+            v.wait_until(
+                lambda: len(first._view) == 6 and np.allclose(first._view[:3], position, atol=1e-3), "the way to another view"
+            )
+            before, looked = first.state, first._view
             first.close()
             with App(folder, port=first.port) as second:
                 assert second.port == first.port
                 v.wait_until(lambda: len(second.server.get_clients()) == 1, "the browser to come back")
                 settle(second, v)
                 now = second.state
-                assert (
-                    now.work.off == before.work.off == {point} and now.view == before.view and len(now.past) == len(before.past)
-                )
-                assert now.row == 0 and now.image == before.image
+                edits = [work for work in before.past if work.aside is None]
+                assert now.work.off == before.work.off == {point} and now.view == before.view and len(now.past) == len(edits)
+                assert now.row == 0 and now.image == before.image and now.view.vectors == 321
+                assert now.room(Bundle).free == ("c",)
+                assert second._view == looked and np.allclose(second.server.initial_camera.position, position, atol=1e-3)
+                for tab in ("Compare", "Scene"):
+                    v.page.get_by_role("tab", name=tab, exact=True, selected=True).wait_for()
                 v.wait_until(lambda: has_pose(second, v, camera_path(second)), "the frustum")
                 one, two = before.solution("perspective"), now.solution("perspective")
                 assert one and two and one.orientation and two.orientation

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.viewer.sessions import DEMO, HEAVY, Session, act, settle, until, viewed
+from tests.browser import ViserPage
+from tests.viewer.sessions import DEMO, HEAVY, Session, act, downloaded, settle, until, viewed
 from viewer_app.app import App
 from viewer_app.mosaic_actions import ForgetPlaces, Look
 from viewer_app.mosaic_place import to_scene
@@ -45,6 +47,48 @@ def test_tiles_are_shown_and_the_steps_show_the_mosaic_growing(session: Session)
     v.nudge_slider("Registration step", "End")
     v.page.get_by_text("step 5 of 5").wait_for()
     act(app, v, Look("shown", "simultaneous"))
+
+
+def opaque(v: ViserPage, node: str) -> float:
+    """How opaque the most opaque pixel of a picture in the page's scene is, 0..1; 0 where there is none."""
+    return v.page.evaluate(
+        """n => { let most = 0; window.__viserMutable.nodeRefFromName[n]?.traverse(o => {
+            const i = o.material?.map?.image; if (!i) return;
+            const c = new OffscreenCanvas(i.width, i.height).getContext('2d');
+            c.drawImage(i, 0, 0);
+            const rgba = c.getImageData(0, 0, i.width, i.height).data;
+            for (let k = 3; k < rgba.length; k += 4) most = Math.max(most, rgba[k]);
+            most *= o.material.opacity; });
+            return most / 255; }""", node)
+
+
+def test_the_mosaic_is_as_opaque_as_asked(session: Session) -> None:
+    app, v = session
+    act(app, v, Look("shown", "simultaneous"))
+    node = f"/mosaic/simultaneous/tiles/{next(iter(room(app).made['simultaneous'].tiles))}"
+    v.wait_until(lambda: opaque(v, node) > 0.99, "the picture")
+    v.set_slider("Mosaic opacity [share]", 0.4)
+    until(app, v, lambda: room(app).opacity == 0.4, "the slider")
+    v.wait_until(lambda: abs(opaque(v, node) - 0.4) < 0.01, "a paler picture")
+    v.set_slider("Mosaic opacity [share]", 1)
+    until(app, v, lambda: room(app).opacity == 1, "the slider")
+
+
+def test_the_mosaic_is_handed_over_as_a_geotiff(session: Session, tmp_path: Path) -> None:
+    import rasterio
+
+    app, v = session
+    file = tmp_path / "mosaic.tif"
+    file.write_bytes(downloaded(app, v, "Mosaic as GeoTIFF", "tif"))
+    v.open_tab("Mosaic")
+    made = room(app).made["simultaneous"]
+    with rasterio.open(file) as picture:
+        low, high = np.array([picture.bounds.left, picture.bounds.bottom]), np.array([picture.bounds.right, picture.bounds.top])
+        assert picture.count >= 3 and picture.overviews(1) and picture.read(2).std() > 5
+    outline = np.concatenate([made.registration.footprint(k) for k in range(len(made.registration.names))])
+    outline = made.registration.frame.to_map(np.column_stack([outline, np.zeros(len(outline))]))[:, :2]
+    assert (low - 5 < outline.min(axis=0)).all() and (outline.max(axis=0) < high + 5).all()
+    assert np.abs(high - low - np.ptp(outline, axis=0)).max() < 10
 
 
 def test_a_click_measures_and_another_finds_a_conjugate_point(session: Session) -> None:

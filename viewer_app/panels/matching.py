@@ -76,7 +76,7 @@ class MatchingPanel:
     def _options(self, desk: Desk) -> None:
         gui, emit = desk.gui, desk.emit
         self._point = gui.add_dropdown(
-            "Point",
+            "Point matched",
             (NEW,),
             hint="Measured in the left photo, it is looked for in the right one; "
             "as a new tie point, every click accepted makes one.",

@@ -186,8 +186,9 @@ class MosaicPanel:
             hint="Nothing, a place to be measured, or a conjugate point: the photos that show the place are matched.",
         )
         bind(self._click, emit, lambda value: Look("click", value))
-        self._last = self._button("Forget last place", "The last place measured.", lambda: ForgetPlaces(all=False))
-        self._every = self._button("Forget all places", "All places measured.", lambda: ForgetPlaces())
+        hint = "Forget the last place measured on the mosaic."
+        self._last = self._button("Forget last place", hint, lambda: ForgetPlaces(all=False))
+        self._every = self._button("Forget all places", "Forget all places measured on the mosaic.", lambda: ForgetPlaces())
         self._measured = Html(gui)
         self._accept = self._button(
             "Accept conjugate point",

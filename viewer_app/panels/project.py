@@ -13,7 +13,7 @@ from solvers.io import write_project
 from .. import theme
 from ..actions import ChooseImage, Saved, Say, Show
 from ..bridge import Wire
-from ..flying import asked_by, through
+from ..flying import Fly, asked_by, through
 from ..looking import Looking, Opacity, looked_through
 from ..overlay import overlay
 from ..state import MODELS, State, measured
@@ -71,7 +71,6 @@ class ProjectPanel:
         for label, (hint, way) in self._ways().items():
             button = gui.add_button(label, hint=hint, color=None if label == "Open in rerun" else QUIET)
             button.on_click(lambda event, way=way: way(event.client))
-            gui.add_command(label).on_trigger(lambda event, way=way: way(event.client))  # type: ignore[attr-defined]
         self._dark = gui.add_checkbox("Dark", False, hint="Dark or light colours, for every browser of this viewer.")
         bind(self._dark, emit, lambda value: Show("dark", bool(value)))
 
@@ -181,6 +180,7 @@ TAB = (
         order=30,
         scene=overlay,
         commands=(
+            Command("Look at all there is", Fly("home", ""), "H", hint="The first view, beside the panels."),
             Command("Look through the image, or back", through, "L", hint="A click on a frustum does the same; Esc returns."),
         ),
     ),

@@ -21,7 +21,9 @@ from .widgets import esc
 class RerunPanel:
     """Records the solutions there are and shows the recording; a second press records anew."""
 
-    def __init__(self, gui: viser.GuiApi, emit: Callable[[Action], None], state: Callable[[], State]) -> None:
+    def __init__(
+        self, gui: viser.GuiApi, emit: Callable[[Action], None], state: Callable[[], State], name: str = "rerun"
+    ) -> None:
         self._gui, self._emit, self._state = gui, emit, state
         self._folder = tempfile.TemporaryDirectory(prefix="collinea-")
         self._lock = threading.Lock()
@@ -29,6 +31,9 @@ class RerunPanel:
         self._serving: Any = None
         self._panel: Any = None
         self._html: Any = None
+        self._close = f"Close {name}"
+        close = gui.add_command(self._close, description="Close the panel with rerun's viewer.")
+        close.on_trigger(lambda _: self._hide())  # type: ignore[attr-defined]
 
     def open(self, client: viser.ClientHandle | None = None) -> None:
         with self._lock:
@@ -86,7 +91,7 @@ class RerunPanel:
             self._panel.dock_left()
             self._panel.set_width(520)
             with self._panel.add_tab("Close"):
-                self._gui.add_button("Close rerun", hint="Close this panel.").on_click(lambda _: self._hide())
+                self._gui.add_button(self._close, hint="Close the panel with rerun's viewer.").on_click(lambda _: self._hide())
         self._html.content = (
             f'<iframe title="rerun" src="{esc(url)}" style="width:100%;height:calc(100vh - 90px);border:0"></iframe>'
             f'<div style="padding:2px 12px;font-size:12px"><a href="{esc(url)}" target="_blank" rel="noreferrer">'
