@@ -20,7 +20,7 @@ from solvers.block import ROLES, Observations, Points
 from .acting import update
 from .actions import Clicking, Set, Show, Speed
 from .actions_measure import SPOTS
-from .session_rooms import asked_again, rooms_of, rooms_to_json
+from .session_rooms import aside_of, aside_to_json, asked_again, rooms_of, rooms_to_json
 from .state import HISTORY, Mark, Settings, Spot, State, View, Work
 
 VERSION = 1
@@ -46,12 +46,11 @@ def fingerprint(block: Block) -> str:
 def to_json(state: State, disk: Block) -> dict[str, Any]:
     """The session of a state. disk: the block as the project's files hold it."""
     works, room = [], LARGEST
-    past, future = ([w for w in stack if w.aside is None] for stack in (state.past, state.future))
-    for work in (state.work, *past[::-1], *future[::-1]):
+    for work in (state.work, *state.past[::-1], *state.future[::-1]):
         said = _work_to_json(work, disk)
         room -= said.pop("rows")
         works.append(said if room >= 0 else None)
-    past, future = works[1 : 1 + len(past)][::-1], works[1 + len(past) :][::-1]
+    past, future = works[1 : 1 + len(state.past)][::-1], works[1 + len(state.past) :][::-1]
     return {
         "version": VERSION,
         "disk": fingerprint(disk),
@@ -139,6 +138,7 @@ def _work_to_json(work: Work, disk: Block) -> dict[str, Any]:
         "points": [point(j) for j in moved],
         "observations": [observation(r) for r in seen],
         "lengths": [len(points), len(of)],
+        "aside": None if work.aside is None else aside_to_json(*work.aside),
     }
 
 
@@ -180,7 +180,8 @@ def _work(said: Mapping[str, Any], disk: Work, revision: int) -> Work:
         probe = update(probe, Set(name, value))
     settings = probe.work.settings
     off = frozenset(said["off"]) & set(points.names)
-    return Work(block, off, settings, revision, {}, rooms_of(said["rooms"]))
+    aside = said.get("aside")
+    return Work(block, off, settings, revision, {}, rooms_of(said["rooms"]), None if aside is None else aside_of(aside, block))
 
 
 def _points(points: Points, said: list[Any], n: int) -> Points:

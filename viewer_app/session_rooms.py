@@ -12,11 +12,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from solvers import Exterior
+from solvers import Block, Exterior
 from solvers.adjustment import Iteration
 
 from .acting import update
-from .bundle_actions import RunBundle
+from .actions_measure import SPOTS
+from .bundle_actions import OPTIONS, RunBundle
 from .bundle_state import Bundle, bundle_choices, bundle_of_choices
 from .desktop import Desktop
 from .epochs import Epochs, GoToEpoch, reopened
@@ -40,7 +41,7 @@ from .mosaic_state import (
 )
 from .photo_view import PhotoView
 from .state import MODELS as ORIENTED
-from .state import Solution, State
+from .state import Solution, Spot, State
 
 Kind = TypeVar("Kind", bound=type)
 KEPT_ROOMS: dict[str, tuple[type, Callable[[Any], Any], Callable[[Any], Any]]] = {}
@@ -264,4 +265,46 @@ def _epochs_again(state: State, said: Any) -> State:
 kept(_epochs_json, _epochs, _epochs_again)(Epochs)
 
 
-__all__ = ["AGAIN", "KEPT_ROOMS", "asked_again", "kept", "rooms_of", "rooms_to_json"]
+# -- choices that undo takes back (`acting.undone`)
+
+
+def _spots(said: Any, block: Block) -> tuple[Spot, ...]:
+    images = {i.name for i in block.images}
+    spots = [Spot(str(s["image"]), _number(s["col"], -1e6, 1e6), _number(s["row"], -1e6, 1e6)) for s in said[:SPOTS]]
+    return tuple(s for s in spots if s.image in images)
+
+
+def _places(said: Any, _: Block) -> tuple[tuple[float, float], ...]:
+    return tuple((_number(x, -1e9, 1e9), _number(y, -1e9, 1e9)) for x, y in said[:PLACES])
+
+
+def _options(said: Any, _: Block) -> tuple[Any, ...]:
+    room = bundle_of_choices(said)
+    return tuple(getattr(room, name) for name in OPTIONS)
+
+
+def _tuned(said: Any, _: Block) -> tuple[int, int, float]:
+    window, search, threshold = said
+    return int(_number(window, 7, 61)), int(_number(search, 0, 60)), _number(threshold, 0.3, 0.95)
+
+
+ASIDE: dict[str, tuple[Callable[[Any], Any], Callable[[Any, Block], Any]]] = {
+    "spots": (lambda spots: [asdict(s) for s in spots], _spots),
+    "places": (list, _places),
+    "mosaic": (asdict, lambda said, _: _ask(said)),
+    "bundle": (lambda values: dict(zip(OPTIONS, values, strict=True)), _options),
+    "matching": (list, _tuned),
+}
+
+
+def aside_to_json(name: str, value: Any) -> list[Any]:
+    return [name, ASIDE[name][0](value)]
+
+
+def aside_of(said: Any, block: Block) -> tuple[str, Any]:
+    """Raises whatever a value that does not hold gives rise to."""
+    name, value = said
+    return name, ASIDE[name][1](value, block)
+
+
+__all__ = ["AGAIN", "ASIDE", "KEPT_ROOMS", "aside_of", "aside_to_json", "asked_again", "kept", "rooms_of", "rooms_to_json"]
