@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import DegenerateGeometry
 from ..mosaic.words import BAD
 from .mosaics import HEIGHT, METHODS, METRES, SIGMA_PX, WIDTH, C, Layout, layout, sequential, systematic
-from .page import figure, flow, number, save, table, write_csv
+from .page import COLOURS, figure, flow, number, save, table, write_csv
 
 RUNS = 2000
 NETWORKS = tuple((k, *o, g) for k in ("strip", "block") for o in ((0.6, 0.3), (0.8, 0.6 if k == "block" else 0.3))
@@ -130,12 +130,12 @@ def _curve(rows: list[dict[str, Any]], spec: tuple[Any, ...], method: str, contr
                      and (r["method"], r["control"], r["what"]) == (method, control, what)])
 
 
-CURVES = (("sequential", "free", "rms", "sequential, 8 coefficients", "#b03a2e", "-"),
-          ("coefficients", "free", "predicted", "simultaneous, 8 coefficients", "#d68910", "-"),
-          ("exterior", "free", "predicted", "simultaneous, exterior orientations", "#1f618d", "-"),
-          ("coefficients", "gcp4", "predicted", "8 coefficients, 4 GCPs", "#d68910", "--"),
-          ("exterior", "gcp4", "predicted", "exterior orientations, 4 GCPs", "#1f618d", "--"),
-          ("exterior", "gcp12", "predicted", "exterior orientations, 12 GCPs", "#1f618d", ":"))
+CURVES = (("sequential", "free", "rms", "sequential, 8 coefficients", COLOURS["printed"], "-"),
+          ("coefficients", "free", "predicted", "simultaneous, 8 coefficients", COLOURS["orthogonal"], "-"),
+          ("exterior", "free", "predicted", "simultaneous, exterior orientations", COLOURS["perspective"], "-"),
+          ("coefficients", "gcp4", "predicted", "8 coefficients, 4 GCPs", COLOURS["orthogonal"], "--"),
+          ("exterior", "gcp4", "predicted", "exterior orientations, 4 GCPs", COLOURS["perspective"], "--"),
+          ("exterior", "gcp12", "predicted", "exterior orientations, 12 GCPs", COLOURS["perspective"], ":"))
 
 
 def _drift_figure(folder: Path, rows: list[dict[str, Any]]) -> list[Path]:
@@ -156,8 +156,9 @@ def _drift_figure(folder: Path, rows: list[dict[str, Any]]) -> list[Path]:
 
 def _harm_figure(folder: Path, harm: list[dict[str, Any]]) -> list[Path]:
     fig, axes = figure(10, 4.2, ncols=2, sharey=True)
-    styles = {"sequential": ("#b03a2e", "o"), "coefficients": ("#d68910", "s"), "exterior": ("#1f618d", "^"),
-              "coefficients gcp12": ("#d68910", "x"), "exterior gcp12": ("#1f618d", "+")}
+    free, held = COLOURS["orthogonal"], COLOURS["perspective"]
+    styles = {"sequential": (COLOURS["printed"], "o"), "coefficients": (free, "s"), "exterior": (held, "^"),
+              "coefficients gcp12": (free, "x"), "exterior gcp12": (held, "+")}
     labels = ["none", *(f"{r:g} m" for r, d in CASES if r), *(f"{d:g} px" for r, d in CASES if d)]
     for axis, kind in zip(axes, ("strip", "block"), strict=True):
         for name, (colour, mark) in styles.items():

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import DegenerateGeometry
 from .mosaics import METHODS, SIGMA_PX, C, Layout, layout
-from .page import figure, flow, number, save, table, write_csv
+from .page import COLOURS, figure, flow, number, save, table, write_csv
 
 RUNS = 8
 COUNTS = (4, 5, 6, 8, 10, 12, 16, 20)
@@ -107,7 +107,7 @@ def _predicted(net: Layout, method: str, gcps: np.ndarray, checks: np.ndarray) -
 
 def _figure(folder: Path, rows: list[dict[str, Any]]) -> list[Path]:
     fig, axes = figure(10, 4.4, ncols=2, sharey=True)
-    colours = {"edge": "#1f618d", "centre": "#b03a2e", "random": "#1e8449"}
+    colours = {"edge": COLOURS["perspective"], "centre": COLOURS["printed"], "random": COLOURS["prior"]}
     for axis, (kind, *_) in zip(axes, NETWORKS, strict=True):
         for method, style, mark in (("coefficients", "--", "s"), ("exterior", "-", "o")):
             for place in PLACES:

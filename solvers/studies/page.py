@@ -8,7 +8,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-COLOURS = {"perspective": "#1f6fb4", "orthogonal": "#e07b1a", "prior": "#2a9d6f", "truth": "#444444", "printed": "#b35806"}
+COLOURS = {"perspective": "#0072b2", "orthogonal": "#dc9518", "prior": "#009e73", "truth": "#141414", "printed": "#d35e08",
+           "control": "#cc79a7", "check": "#56b4e2"}
+"""The viewer's legend, told apart by colour-blind people too; printed: vermilion. Reference: Okabe & Ito 2008."""
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> Path:
