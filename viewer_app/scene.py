@@ -9,6 +9,7 @@ import numpy as np
 
 from solvers import Block, Exterior, Interior
 from solvers.cameras import ideal_photo
+from solvers.geometry.rotation import exp_many
 from solvers.orientation import Orientation
 
 from . import theme
@@ -114,8 +115,9 @@ def _priors(block: Block, assets: Assets) -> tuple[np.ndarray, np.ndarray, np.nd
     if not complete:
         return np.zeros(0, int), np.zeros((0, 3)), np.zeros((0, 3, 3))
     centres = assets.frame.to_local(np.array([centre for _, centre, _ in complete], float))
-    matrices = np.array([Exterior.from_angles(*angles, centre=np.zeros(3)).m for _, _, angles in complete])
-    return np.array([k for k, *_ in complete]), centres, matrices
+    omega, phi, kappa = (exp_many(-angle[:, None] * axis) for angle, axis in zip(
+        np.array([angles for *_, angles in complete], float).T, np.eye(3), strict=True))
+    return np.array([k for k, *_ in complete]), centres, kappa @ phi @ omega
 
 
 @by_identity(4)

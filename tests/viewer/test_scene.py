@@ -18,12 +18,12 @@ from viewer_app.actions import ChoosePoint, Show, Step, SwitchPoint, update
 from viewer_app.export import frustum_corners, glb, ply
 from viewer_app.flying import Fly
 from viewer_app.ground import lowered, nice
-from viewer_app.home import home
+from viewer_app.home import LOW, PANEL, home, home_beside
 from viewer_app.paint_viser import equal, frustum_pose
 from viewer_app.picking import pick
 from viewer_app.scene import CHI_95, scene, sight, vector_scale
 from viewer_app.state import State
-from viewer_app.values import Ellipsoid, Frustum, Mesh, Plane, Segments
+from viewer_app.values import Ellipsoid, Frusta, Frustum, Mesh, Plane, Segments
 
 
 @pytest.fixture(scope="module")
@@ -226,3 +226,34 @@ def test_an_image_of_which_only_the_position_is_known_is_a_cross_there(state: St
     assert np.linalg.norm(eye - at) < 10 * np.ptp(places, axis=0).max() < far
     hidden = scene(replace(bare, view=replace(bare.view, georeferenced=False)))
     assert not [p for p in hidden if p.endswith("/position")]
+
+
+def test_images_that_gps_and_imu_alone_place_stand_there_with_few_nodes_for_many(
+    state: State, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Unsolved images are drawn at their priors: one by one as frustums, many of them in one node, at the same places."""
+    priors = [Prior(centre=np.array([500080.0 + 9 * k, 5400180.0, 410.0]), angles=np.array([0.1, -0.2, 0.3 + k])) for k in (0, 1)]
+    images = tuple(replace(i, prior=p) for i, p in zip(state.block.images, priors, strict=True))
+    bare = replace(state, work=replace(state.work, block=replace(state.block, images=images)))
+    one = {n: scene(bare)[f"/images/{n}/georeferenced/camera"] for n in ("left", "right")}
+    monkeypatch.setattr("viewer_app.scene.MANY", 1)
+    many = scene(bare)["/images/georeferenced"]
+    other = one["right"]
+    assert isinstance(many, Frusta) and isinstance(other, Frustum) and len(many.centres) == 1  # the chosen one is by itself
+    assert np.allclose(many.centres[0], other.exterior.centre) and np.allclose(many.matrices[0], other.exterior.m, atol=1e-12)
+
+
+@pytest.mark.parametrize("size", [(866, 800), (2146, 1440), (1700, 700), (500, 1400), (300, 300)])
+def test_the_first_view_shows_every_point_and_camera_beside_the_panel(state: State, size: tuple[float, float]) -> None:
+    solved = solve_all(state)
+    eye, at = home_beside(solved, *size, np.radians(45))
+    away = (at - eye) / np.linalg.norm(at - eye)
+    right = np.cross(away, [0, 0, 1.0]) / np.linalg.norm(np.cross(away, [0, 0, 1.0]))
+    cameras = [e.centre for i in solved.block.images if (e := solved.exterior("perspective", i.name)) is not None]
+    places = np.vstack([solved.assets.frame.to_local(solved.block.points.xyz), *cameras]) - eye
+    depth = places @ away
+    x, y = (places @ axis / depth * size[1] / 2 / np.tan(np.radians(22.5)) for axis in (right, np.cross(right, away)))
+    x, y = x + size[0] / 2, y + size[1] / 2  # from the lower left corner
+    assert (depth > 0).all() and x.min() > 0 and y.min() > 0 and x.max() < size[0] and y.max() < size[1]
+    if min(size) > 400:
+        assert (x > PANEL).all() or (y > LOW).all()
