@@ -171,7 +171,8 @@ def registered_site(site: Site, request: MosaicRequest) -> Registered:
         back = sum(abs(h["correction_deg"]) > 180 - TURNED for h in wrong)
         names = ", ".join(f"'{h['image']}' ({h['correction_deg']:+.0f} deg)" for h in wrong[:8])
         names += " ..." if len(wrong) > 8 else ""
-        said = [f"the recorded yaw of {len(wrong)} photo(s) is wrong" + (f", {back} of them reversed" if back else "")
+        said = [f"the recorded yaw of {len(wrong)} photo{'s' * (len(wrong) > 1)} is wrong"
+                + (f", {back} of them reversed" if back else "")
                 + f": {names}; the photos' content was used instead"]
     registration = replace(registration, warnings=(*registration.warnings, *said))
     return Registered(registration, site, px, _check_points(registration, site.block), headings)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -23,7 +24,8 @@ class Placing:
     """A similarity from the reference photo's plane to the local frame: X' = scale R(turn) X + shift, heights over the plane by
     the same scale. plane (3,): z0, zx, zy. height: z0. wrong: control points that cannot be right. unit, frame: of the result.
     controlled: something weighted joins the adjustment. by_gps: onboard positions do. datum: of a bundle. pixel: size of a
-    photo's pixel on the mosaic. afloat: nothing but onboard heights over it says how high the plane is."""
+    photo's pixel on the mosaic. afloat: nothing but onboard heights over it says how high the plane is. far: photos whose
+    onboard positions seem wrong, and by how much [m]."""
 
     data: Data
     scale: float
@@ -39,6 +41,16 @@ class Placing:
     said: tuple[str, ...]
     wrong: tuple[str, ...] = ()
     afloat: bool = False
+    far: tuple[tuple[int, float], ...] = ()
+
+    def accused(self, oblique: Container[int] = ()) -> list[str]:
+        """A sentence on onboard positions that disagree with the photos' content; not of photos so oblique that where they were
+        taken was badly known then."""
+        far = [f"'{self.data.names[k]}' ({o:.0f} m)" for k, o in self.far if k not in oblique]
+        if not far:
+            return []
+        return [f"the onboard position of {len(far)} photo{'s' * (len(far) > 1)} disagrees with the photos' content: "
+                + ", ".join(far[:5])]
 
     @property
     def height(self) -> float:
@@ -111,6 +123,7 @@ def placing_of(data: Data, h: np.ndarray, found: Found | None, plane: float | st
     placed = np.flatnonzero(np.isfinite(data.gps).all(axis=1) & np.isfinite(under).all(axis=1))
     said: list[str] = []
     wrong: tuple[str, ...] = ()
+    far: tuple[tuple[int, float], ...] = ()
     if len(control) >= 2:
         scale, turn, shift, off = similarity(place[control], data.xyz[control, :2], data.sigma_xyz[control, :2].mean(axis=1))
         height = float(plane) if isinstance(plane, (int, float)) else float(np.median(data.xyz[control, 2]))
@@ -120,9 +133,7 @@ def placing_of(data: Data, h: np.ndarray, found: Found | None, plane: float | st
         scale, turn, shift, off = similarity(under[placed], data.gps[placed, :2], data.gps_sigma[placed, :2].mean(axis=1))
         height = float(plane) if isinstance(plane, (int, float)) else float(np.median(data.gps[placed, 2] - scale * tall[placed]))
         limit = 10 * float(np.median(data.gps_sigma[placed, :2]))  # the reference photo's own tilt is still in it
-        far = [f"'{data.names[p]}' ({o:.0f} m)" for p, o in zip(placed, off, strict=True) if o > limit]
-        if far:
-            said.append(f"the onboard position of {len(far)} photo(s) disagrees with the photos' content: {', '.join(far[:5])}")
+        far = tuple((int(p), float(o)) for p, o in zip(placed, off, strict=True) if o > limit)
     else:
         raise DegenerateGeometry(f"{data.block.name}: of the photos that hang together, fewer than two have a position and fewer "
                                  "than two control points are seen; take --kind uncontrolled")
@@ -133,7 +144,7 @@ def placing_of(data: Data, h: np.ndarray, found: Found | None, plane: float | st
         said.append("onboard positions scale, turn and shift the mosaic; with plane coefficients they do not stop its drift")
     return Placing(data, scale, turn, shift, np.array([height, 0.0, 0.0]), "m", data.frame, controlled, by_gps, datum,
                    scale * pixel, tuple(said), wrong,
-                   by_gps and len(control) < 2 and not isinstance(plane, (int, float)) and not data.whole)
+                   by_gps and len(control) < 2 and not isinstance(plane, (int, float)) and not data.whole, far)
 
 
 def similarity(source: np.ndarray, target: np.ndarray, sigma: np.ndarray) -> tuple[float, float, np.ndarray, np.ndarray]:
@@ -227,5 +238,7 @@ def _wrong_control(data: Data, control: np.ndarray, off: np.ndarray, pixel: floa
     if not bad or len(control) - len(bad) < 3:
         return (), []
     listed = ", ".join(f"'{n}' ({o:.2f} m off)" for n, o in bad[:5])
-    return tuple(n for n, _ in bad), [f"control point(s) that disagree with the photos were left out: {listed}; check their "
-                                      "names, coordinates and marks"]
+    several = len(bad) > 1
+    return tuple(n for n, _ in bad), [f"{'control points that disagree' if several else 'a control point that disagrees'} with "
+                                      f"the photos {'were' if several else 'was'} left out: {listed}; check "
+                                      f"{'their names' if several else 'its name'}, coordinates and marks"]

@@ -201,7 +201,8 @@ def without_false_links(data: Data) -> Data:
     if len(false):
         listed = ", ".join(f"'{data.names[found.a[k]]}' and '{data.names[found.b[k]]}' ({found.agreeing[k]} points)"
                            for k in false[:4].tolist()) + (" ..." if len(false) > 4 else "")
-        said.append(f"tie points of {len(false)} pair(s) of photos agree with no other photo and were left out: {listed}; their "
+        pairs = f"{len(false)} pair{'s' * (len(false) > 1)}"
+        said.append(f"tie points of {pairs} of photos agree with no other photo and were left out: {listed}; their "
                     "neighbours do not see the same ground")
     if (share := gone.mean()) > WORTH:
         said.append(f"{int(gone.sum())} of {len(gone)} marks ({share:.0%}) do not lie where their photos' other points say and "

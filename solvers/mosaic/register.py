@@ -95,11 +95,12 @@ def _sequential(data: Data, request: RegistrationRequest) -> Registration | Plac
     trace = Trace(tuple(rows), {**data.manifest(request.method, "plane"), "joined": joined, "bounding_boxes": boxes})
     keep = sorted(order)
     r = _pixels_off(data, h)
-    said = [*place.said, "sequential registration: every photo inherits the errors of those before it; small residuals at the "
-                         "seams do not measure the drift, the simultaneous registration closes it"]
+    said = [*place.said, *place.accused(), "sequential registration: every photo inherits the errors of those before it; "
+            "small residuals at the seams do not measure the drift, the simultaneous registration closes it"]
     weak = [f"'{net.names[s.photo]}' ({s.stage})" for s in steps if s.stage in ("similarity", "affine")]
     if weak:
-        said.append(f"{len(weak)} photo(s) share points on a narrow part only and joined by fewer coefficients: "
+        said.append(f"{len(weak)} photo{'s share' if len(weak) > 1 else ' shares'} points on a narrow part only and joined by "
+                    "fewer coefficients: "
                     + ", ".join(weak[:6]) + (" ..." if len(weak) > 6 else ""))
     nothing = np.full((len(keep), 8, 8), np.nan)
     return _registration(data, request, "plane", keep, h, (), place, nothing, np.full(len(keep), np.nan), r, trace, said, lost)
@@ -333,11 +334,12 @@ def _concluded(data: Data, request: RegistrationRequest, model: str, found: Foun
             said.append(f"the tie points fit to {factor * data.sigma_px:.2f} px where {data.sigma_px:.2f} px were expected: "
                         "relief off the plane or distortion left in the photos; covariances are scaled by it")
         rms = float(np.sqrt(np.mean((_pixels_off(data, h) ** 2)[_central(data, h)])))
-    above = [f"'{n}'" for n, g, c in zip(data.names, h, data.corners, strict=True)
+    above = [k for k, (g, c) in enumerate(zip(h, data.corners, strict=True))
              if np.isnan(through(np.linalg.inv(np.broadcast_to(g, (4, 3, 3))), c)[0]).any()]
+    said += place.accused(above)
     if above:
-        said.append(f"huge tilt: the horizon of the mosaic plane lies inside photo(s) {', '.join(above[:6])}; only their ground "
-                    "well below it can be used")
+        said.append(f"huge tilt: the horizon of the mosaic plane lies inside photo{'s' * (len(above) > 1)} "
+                    f"{', '.join(repr(data.names[k]) for k in above[:6])}; only the ground well below it can be used")
     if found.rows[-1][1].stop not in ("step", "gradient", "cost"):
         said.insert(0, f"the registration did not come to rest in {len(found.rows)} rows (stopped by "
                        f"'{found.rows[-1][1].stop}')")

@@ -45,8 +45,8 @@ def weak_photos(data: Data, net: Network, noise: np.ndarray, place: Placing, rel
         pairs = single_lines(data, net)
         named = ", ".join(f"'{net.names[i]}' and '{net.names[j]}'" for i, j in pairs[:4]) + (" ..." if len(pairs) > 4 else "")
         weak = int((px > bad).sum())
-        out.append(f"nearly rank deficient: the tie points leave {weak} photo(s) uncertain by more than {bad:.0f} px (worst "
-                   f"'{net.names[worst]}', {px[worst]:.0f} px)"
+        out.append(f"nearly rank deficient: the tie points leave {weak} photo{'s' * (weak > 1)} uncertain by more than "
+                   f"{bad:.0f} px (worst '{net.names[worst]}', {px[worst]:.0f} px)"
                    + (f"; the points shared by {named} lie on one line: add tie points beside it" if pairs else "")
                    + ("; take exterior orientations (the camera's principal distance), or give control points" if model == "plane"
                       else "; give control points or onboard positions"))

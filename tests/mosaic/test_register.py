@@ -244,7 +244,7 @@ def test_false_links_between_far_photos_are_named_and_bend_nothing():
     r = register(block)
     assert len(r.names) == 30
     said = next(w for w in r.warnings if "agree with no other photo" in w)
-    assert "4 pair(s)" in said and all(f"'p{a}' and 'p{b}' (12 points)" in said for a, b in pairs)
+    assert "4 pairs of" in said and all(f"'p{a}' and 'p{b}' (12 points)" in said for a, b in pairs)
     seen = [r.frame.to_map(np.append(r.on_plane(k, CAMERA.pixels(np.zeros(2))), r.plane[0]))[:2] for k in range(30)]
     assert np.abs(np.array(seen) - [project_down(p) for p in poses]).max() < 2
 
@@ -294,6 +294,14 @@ def test_a_column_of_ties_in_the_side_overlap_is_named():
     assert any("rank deficient" in w and "lie on one line" in w for w in r.warnings), r.warnings
     fine, *_ = flight(2, 4, gps=False, step=(60.0, 70.0), noise=0.3, tilt=0.5)
     assert not any("rank deficient" in w for w in register(fine, RegistrationRequest(model="plane")).warnings)
+
+
+def test_a_wrong_onboard_position_is_said_with_how_far_it_is_off():
+    block, *_ = flight()
+    images = [replace(i, prior=Prior(i.prior.centre + np.array([90.0, 0, 0]) * (i.name == "p6"), None, np.ones(3)))
+              for i in block.images if i.prior is not None and i.prior.centre is not None]
+    said = [w for w in register(replace(block, images=tuple(images))).warnings if "onboard position" in w]
+    assert len(said) == 1 and "of 1 photo disagrees" in said[0] and "'p6' (" in said[0]
 
 
 def test_one_position_far_off_does_not_place_the_mosaic():
