@@ -104,6 +104,10 @@ def _signed(values: np.ndarray, reach: float) -> str:
     return png((white + np.where(t > 0, t * (above - white), -t * (below - white))).astype(np.uint8))
 
 
+_NOTE = "display:inline-block;white-space:normal;max-width:9em"
+"""Of words beside numbers: they take a second line before a narrow panel cuts them."""
+
+
 def numbers(found: Found, row: int) -> str:
     """Place, score and shape at the row shown, with what is known of the result beside it."""
     stepped = found.stepped
@@ -142,6 +146,7 @@ def numbers(found: Found, row: int) -> str:
         )
     if not rows:
         return ""
+    rows = [(title, (*cells[:-1], f'<span style="{_NOTE}">{cells[-1]}</span>')) for title, cells in rows]
     return f'<div style="margin-top:4px">{table(("", "col", "row", "score", ""), rows, "Match")}</div>{plots(stepped, row)}'
 
 
