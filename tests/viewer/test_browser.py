@@ -140,8 +140,11 @@ def test_names_and_terrain_are_switched_on_and_off(session: Session) -> None:
     v.open_tab("Scene")
     v.set_checkbox("Names", True)
     v.set_checkbox("Terrain", True)
-    points = {f"/points/names/{n}" for n in state.block.points.names}
-    v.wait_until(lambda: names_drawn(v) == points | {f"/images/{i.name}/label" for i in state.block.images}, "every name")
+    images = {f"/images/{i.name}/label" for i in state.block.images}
+    until(app, v, lambda: app.state.view.labels and app.state.view.terrain, "the boxes")
+    wanted = {n for n in scene(app.state) if n.startswith("/points/names/")} | images
+    assert len(wanted) > len(images) + 5
+    v.wait_until(lambda: names_drawn(v) == wanted, "every name")
     v.wait_nodes("/ground/terrain")
     heights = v.page.evaluate(
         """() => { const at = []; window.__viserMutable.nodeRefFromName['/ground/terrain'].traverse(o => {
