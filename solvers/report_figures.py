@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -82,10 +83,7 @@ def plan(points: Sequence[Mapping[str, Any]], enlarged: float) -> str:
     ax.set_aspect("equal", adjustable="datalim")
     if few:
         _name_points(ax, [p["name"] for p in points], every - origin)
-    ax.set_xlabel("X [m]" + (f" − {origin[0]:.0f}" if origin.any() else ""))
-    ax.set_ylabel("Y [m]" + (f" − {origin[1]:.0f}" if origin.any() else ""))
-    ax.ticklabel_format(useOffset=False, style="plain")
-    ax.tick_params(labelsize=7)
+    _map_axes(ax, origin)
     ax.legend(fontsize=7, loc="best")
     return svg(fig)
 
@@ -173,23 +171,47 @@ def iterations(traces: Mapping[str, Sequence[Mapping[str, float]]]) -> str:
     return svg(fig)
 
 
+def mosaic(picture: Path, bounds: Sequence[float], unit: str) -> str | None:
+    """A small picture of a mosaic with the coordinates of its bounds (west, south, east, north); None where it cannot be read."""
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(picture) as file:
+            rgba = np.asarray(file.convert("RGBA"))
+    except (OSError, UnidentifiedImageError, Image.DecompressionBombError):
+        return None
+    west, south, east, north = bounds
+    origin = np.floor(np.array([west, south]) / 100) * 100 if max(map(abs, bounds)) > 1e4 else np.zeros(2)
+    fig, ax = figure(7.2, min(6.0, max(2.6, 6.8 * (north - south) / max(east - west, 1e-9))))
+    ax.imshow(rgba, extent=(west - origin[0], east - origin[0], south - origin[1], north - origin[1]), interpolation="nearest")
+    _map_axes(ax, origin, unit)
+    return svg(fig)
+
+
+def _map_axes(ax: Any, origin: np.ndarray, unit: str = "m") -> None:
+    for name, of, label in (("X", origin[0], ax.set_xlabel), ("Y", origin[1], ax.set_ylabel)):
+        label(f"{name} [{unit}]" + (f" − {of:.0f}" if origin.any() else ""))
+    ax.ticklabel_format(useOffset=False, style="plain")
+    ax.tick_params(labelsize=7)
+
+
 def overlap(outlines: Sequence[np.ndarray], cameras: np.ndarray) -> tuple[str, dict[int, float]]:
     """How many photos see each place: the map, and the area [m^2] seen by 1, 2, 3 ... photos.
 
     outlines: rings (m, 2 or 3) in project coordinates.
     """
-    from matplotlib.path import Path
+    from matplotlib.path import Path as Outline
 
     rings = [o[:, :2] for o in outlines]
     low, high = np.min([r.min(axis=0) for r in rings], axis=0), np.max([r.max(axis=0) for r in rings], axis=0)
-    cell = float(max(high - low)) / 400
+    cell = float(max(high - low)) / 1000
     cols, rows = (np.ceil((high - low) / cell).astype(int) + 1).tolist()
     x, y = low[0] + (np.arange(cols) + 0.5) * cell, low[1] + (np.arange(rows) + 0.5) * cell
     grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
     count = np.zeros(len(grid), int)
     for ring in rings:
         near = ((grid >= ring.min(axis=0)) & (grid <= ring.max(axis=0))).all(axis=1)
-        count[near] += Path(ring).contains_points(grid[near])
+        count[near] += Outline(ring).contains_points(grid[near])
     origin = np.floor(low / 100) * 100 if np.abs(high).max() > 1e4 else np.zeros(2)
     fig, ax = figure(7.2, min(4.6, max(2.6, 6.4 * (high - low)[1] / (high - low)[0])))
     shown = np.ma.masked_equal(count.reshape(rows, cols), 0)
@@ -202,8 +224,5 @@ def overlap(outlines: Sequence[np.ndarray], cameras: np.ndarray) -> tuple[str, d
         ax.plot(*(cameras - origin).T, "^", color="black", markeredgecolor="white", markeredgewidth=0.6, ms=5.5)
     bar = fig.colorbar(picture, ax=ax, shrink=0.8, label="photos that see it")
     bar.ax.yaxis.get_major_locator().set_params(integer=True)
-    ax.set_xlabel("X [m]" + (f" − {origin[0]:.0f}" if origin.any() else ""))
-    ax.set_ylabel("Y [m]" + (f" − {origin[1]:.0f}" if origin.any() else ""))
-    ax.ticklabel_format(useOffset=False, style="plain")
-    ax.tick_params(labelsize=7)
+    _map_axes(ax, origin)
     return svg(fig), {int(k): float((count == k).sum() * cell**2) for k in np.unique(count) if k}

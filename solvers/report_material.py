@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,8 +37,8 @@ class Ground:
 class Material:
     """All that a report is made of.
 
-    command: of the run; traces by name; grounds and outlines in project coordinates; mosaic: result of the latest mosaic run;
-    said: what the reader of the files has to say.
+    command: of the run; traces by name; grounds and outlines in project coordinates; mosaic: result of the latest mosaic run,
+    picture: its small PNG; said: what the reader of the files has to say.
     """
 
     block: Block
@@ -52,6 +53,7 @@ class Material:
     surface: str = ""
     mosaic: Mapping[str, Any] | None = None
     mosaic_run: str = ""
+    picture: Path | None = None
     said: Sequence[str] = ()
 
 

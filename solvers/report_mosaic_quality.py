@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from .report_document import Number, Part, Section, Source, Table
+from . import report_figures as figures
+from .report_document import Figure, Number, Part, Section, Source, Table
 from .report_material import MOST_ROWS, Material, left
 
 DRIFT = ("Tie points and seams tell how well neighbours fit, not how far the whole is bent or turned: a mosaic whose seams fit "
@@ -20,7 +21,7 @@ def mosaic(m: Material) -> Section | None:
         return None
     source = Source(m.mosaic)
     images = source.get("images", [])
-    parts: list[Part] = [Table(("what", "value"), _rows(m, source, images), "", DRIFT)]
+    parts: list[Part] = [Table(("what", "value"), _rows(m, source, images), "", DRIFT), *_picture(m, source)]
     turned = {h["image"]: h.get("correction_deg") for h in source.get("headings", [])}
     unit = source.get("unit", "m")
     rows = [(i["name"], "yes" if i.get("used", True) else f"no: {i.get('why', '')}", _sigma(source, images, k, "sigma", 2),
@@ -29,6 +30,15 @@ def mosaic(m: Material) -> Section | None:
         header = ("photo", "used", f"standard error of places [{unit}]", "the same [px of the mosaic]", "yaw corrected by [°]")
         parts.append(Table(header, rows, "Photos of the mosaic", PHOTOS + left(len(images), "photos")))
     return Section("Mosaic", parts)
+
+
+def _picture(m: Material, source: Source) -> list[Figure]:
+    bounds = source.get("bounds")
+    if m.picture is None or not bounds:
+        return []
+    unit = source.get("unit", "m")
+    drawn = figures.mosaic(m.picture, [float(b) for b in bounds], unit)
+    return [] if drawn is None else [Figure(drawn, f"The mosaic, reduced; coordinates in {unit}.")]
 
 
 def _rows(m: Material, source: Source, images: Sequence[Any]) -> list[Sequence[Any]]:

@@ -90,7 +90,7 @@ def maps(m: Material, source: Source) -> Section:
         parts.append(Figure(picture, f"Footprints and overlap on {m.surface or 'level ground'}; triangles are the cameras."))
         total = sum(areas.values())
         rows = [(f"{k}", Number(a / 1e4, 4), f"{100 * a / total:.1f} %") for k, a in areas.items()]
-        parts.append(Table(("photos that see it", "area [ha]", "share"), rows, "Overlap", "Counted on a raster of 400 cells "
+        parts.append(Table(("photos that see it", "area [ha]", "share"), rows, "Overlap", "Counted on a raster of 1000 cells "
                                                                                           "along the longer "
                            "side."))
     elif source.get("orientations"):

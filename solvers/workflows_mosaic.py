@@ -27,9 +27,11 @@ from .io import (
     read_onboard,
     read_project,
     save_trace,
+    to_preview,
     write_json,
 )
 from .io.crs import short_crs
+from .io.runs import PREVIEW
 from .matching import Ties
 from .mosaic import Registration, RegistrationRequest, check_ties, fit_plane, rectification, register
 from .mosaic.register import Model
@@ -136,6 +138,7 @@ def mosaic_of(source: Path | str, out: Path | str, request: MosaicRequest | None
     if (Path(source) / "project.toml").is_file():
         run = new_run(Path(source), "mosaic")
         save_trace(done.registration.trace, run, "trace-registration")
+        to_preview(Path(out), run / PREVIEW)
     made = Mosaicked(done, composed, run, seconds)
     if run is not None:
         write_json(run / "result.json", made.to_json())

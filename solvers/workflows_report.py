@@ -16,6 +16,7 @@ from .errors import BadProject, DegenerateGeometry, PhotogrammetryError, Unsuppo
 from .geometry import Exterior
 from .io import latest_run, load_residuals, load_trace, read_project
 from .io.files import write_atomic
+from .io.runs import PREVIEW
 from .orientation import Known, Plane, footprint, monoplot
 from .orientation.monoplot import Ground as Surface
 from .report_material import Ground, Material, Wanted
@@ -96,7 +97,8 @@ def material(folder: Path, run: Path) -> Material:
     when = datetime.strptime(run.name[:15], "%Y%m%d-%H%M%S")
     return Material(block, command, run.name, f"{when:%Y-%m-%d %H:%M:%S}", __version__, result, _traces(run, result),
                     () if "points" in result else _on_ground(block, known), _outlines(block, known, ground, said), name,
-                    None if mosaic is None else read_result(mosaic), "" if mosaic is None else mosaic.name, tuple(said))
+                    None if mosaic is None else read_result(mosaic), "" if mosaic is None else mosaic.name,
+                    None if mosaic is None or not (mosaic / PREVIEW).is_file() else mosaic / PREVIEW, tuple(said))
 
 
 def read_result(run: Path) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from solvers import Block, Observations, Points, report_figures
 from solvers.cli import main
@@ -233,8 +234,16 @@ def test_a_mosaic_alone_is_reported(tmp_path):
     run.mkdir(parents=True)
     (run / "result.json").write_text(json.dumps({
         "kind": "uncontrolled", "register": "simultaneous", "width": 70, "height": 50, "gsd": 0.016, "unit": "m", "rms_px": 1.7,
-        "seam_rms": 2.9, "warnings": ["photos are bent by 6 px"], "images": [{"name": "DSC00229", "used": True, "sigma": 5.2}]}))
+        "bounds": [652300.0, 5401200.0, 652301.12, 5401200.8], "seam_rms": 2.9,
+        "warnings": ["photos are bent by 6 px"], "images": [{"name": "DSC00229", "used": True, "sigma": 5.2}]}))
     made = report_project(folder, tmp_path / "r.html")
     assert made.run == run and made.sections[0] == "Warnings" and "Mosaic" in made.sections and made.warnings == 1
     page = (tmp_path / "r.html").read_text(encoding="utf-8")
-    assert page.count("photos are bent by 6 px") == 1 and "1.70" in page
+    assert page.count("photos are bent by 6 px") == 1 and "1.70" in page and "The mosaic, reduced" not in page
+    (run / "mosaic.png").write_bytes(b"no picture")
+    report_project(folder, tmp_path / "r.html")
+    assert "The mosaic, reduced" not in (tmp_path / "r.html").read_text(encoding="utf-8")
+    Image.new("RGBA", (70, 50), (200, 90, 20, 255)).save(run / "mosaic.png")
+    report_project(folder, tmp_path / "r.html")
+    assert "The mosaic, reduced" in (tmp_path / "r.html").read_text(encoding="utf-8")
+    report_project(folder, tmp_path / "r.pdf")

@@ -3,7 +3,7 @@
 from . import assemble, crs
 from .arrays import ArrayFolder
 from .bal import read_bal
-from .cog import Coding, Part, TileFolder, encode_tile, full_disk, no_space, to_picture, write_cog
+from .cog import Coding, Part, TileFolder, encode_tile, full_disk, no_space, to_picture, to_preview, write_cog
 from .corners import WrittenCorners, read_corners, write_corners
 from .demo import demo_assets, demo_copy
 from .exif import Exif, read_exif
@@ -87,6 +87,7 @@ __all__ = [
     "surface_path",
     "thumbnail",
     "to_picture",
+    "to_preview",
     "trace_name",
     "write_areas",
     "write_cog",

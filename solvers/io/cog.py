@@ -468,6 +468,21 @@ def to_picture(raster: Path, out: Path, scale: str) -> None:
     write_atomic(out, lambda stream: Image.fromarray(rgb).save(stream, "JPEG", quality=92, comment=scale))
 
 
+def to_preview(raster: Path, out: Path, longest: int = 900) -> None:
+    """A small PNG of a mosaic, transparent where nothing is seen, at most `longest` px long. Atomic."""
+    import rasterio
+    from PIL import Image
+    from rasterio.enums import Resampling
+
+    with _gdal(), rasterio.open(raster) as data:
+        factor = min(1.0, longest / max(data.width, data.height))
+        shape = (max(1, round(factor * data.height)), max(1, round(factor * data.width)))
+        bands = [1, 2, 3] if data.count >= 3 else [1, 1, 1]
+        rgb = data.read(bands, out_shape=(3, *shape), resampling=Resampling.average)
+        rgba = np.moveaxis(np.concatenate([rgb, data.dataset_mask(out_shape=shape)[None]]), 0, -1)
+    write_atomic(out, lambda stream: Image.fromarray(rgba).save(stream, "PNG"))
+
+
 def no_space(error: OSError) -> bool:
     """Whether a disk is full."""
     return error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)

@@ -21,6 +21,8 @@ from .rows import RowReader
 RUN = re.compile(r"\d{8}-\d{6}-\w+(-\d+)?")
 REDO = "delete this run and compute it again"
 FORMAT = "collinea trace 1"
+PREVIEW = "mosaic.png"
+"""The small picture of its mosaic in a run."""
 
 
 def new_run(project_folder: Path | str, command: str) -> Path:

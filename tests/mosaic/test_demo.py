@@ -6,10 +6,12 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from solvers.cli import main
 from solvers.geometry import Grid
 from solvers.io import demo_assets, read_truth
+from solvers.workflows_report import report_project
 
 
 def off_centre(patch: np.ndarray, start: np.ndarray, reach: float) -> np.ndarray:
@@ -46,6 +48,14 @@ def test_targets_lie_where_they_are(tmp_path):
     with rasterio.open(out) as data:
         rgba, gsd = data.read(), data.transform.a
         grid = Grid((data.height, data.width), tuple(data.transform)[:6])
+    with Image.open(Path(said["run"]) / "mosaic.png") as small:
+        shrunk, preview = rgba.shape[2] / small.width, np.asarray(small)
+    assert max(preview.shape) == 900 and shrunk > 1
+    seen = preview[..., 3] == 255
+    rows, cols = (np.argwhere(seen) * shrunk + shrunk / 2).astype(int).T
+    assert seen.mean() > 0.3 and np.abs(preview[seen][:, :3].mean(0) - rgba[:3, rows, cols].mean(1)).max() < 2
+    report_project(folder, tmp_path / "r.html")
+    assert "The mosaic, reduced" in (tmp_path / "r.html").read_text(encoding="utf-8")
     errors = []
     for point in np.array(list(truth["points"].values())):
         at, k = grid.to_pixels(point[:2]), int(np.ceil(1.6 / gsd))

@@ -25,7 +25,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
     shutil.copytree(DEMO, folder, ignore=shutil.ignore_patterns("runs"))
     with viewed(folder, hidden=(*HEAVY, "rays", "bundle", "perspective", "orthogonal")) as (app, v):
         v.open_tab("Mosaic")
-        v.click_button("Both")
+        v.click_button("Make both, to compare")
         until(app, v, lambda: len(room(app).made) == 2, "both mosaics", 250)
         yield app, v
 

@@ -49,12 +49,14 @@ class MosaicPanel:
             lambda: MakeMosaic("simultaneous"),
         )
         self._button(
-            "Sequential",
+            "Make mosaic one by one",
             "Fit photo after photo to the growing mosaic: to be compared, its errors add up.",
             lambda: MakeMosaic("sequential"),
         )
         self._button(
-            "Both", "The simultaneous and the sequential mosaic, to see the drift and how it closes.", lambda: MakeMosaic("both")
+            "Make both, to compare",
+            "The simultaneous and the sequential mosaic, to see the drift and how it closes.",
+            lambda: MakeMosaic("both"),
         )
         self._cancel = gui.add_button(
             "Cancel mosaic work", hint="Stops making, comparing and writing; what is finished stays.", color=QUIET
