@@ -15,6 +15,7 @@ from solvers.io import (
     photo_path,
     photo_window,
     read_heights,
+    read_photo,
     thumbnail,
     write_heights,
     write_image,
@@ -87,6 +88,9 @@ def test_files_that_are_no_photos(tmp_path: Path) -> None:
         thumbnail(path, 100)
     with pytest.raises(BadProject, match="no such photo"):
         thumbnail(tmp_path / "none.jpg", 100)
+    Pillow.new("L", (1, 1)).save(path)
+    with pytest.raises(Unsupported, match=r"a\.jpg: 1 x 1 pixels show nothing"):
+        read_photo(path)
 
 
 @pytest.mark.parametrize("file", ["../a.jpg", "images/../../a.jpg", "..\\a.jpg"])
