@@ -106,8 +106,8 @@ def read_photo(path: Path, grey: bool = True) -> np.ndarray:
     """A whole photo at full resolution: uint8 (h, w) grey or (h, w, 3) colour values. Raises Unsupported."""
     with opened(path) as photo:
         if min(photo.size) < 2:
-            raise Unsupported(f"{path}: {photo.width} x {photo.height} pixels show nothing that could be measured; give the whole "
-                              "photo")
+            raise Unsupported(f"{path}: {photo.width} x {photo.height} pixels show nothing that could be measured; give the "
+                              "whole photo")
         if photo.mode in ("1", "L", "P", "RGB", "RGBA", "YCbCr", "CMYK"):
             try:
                 if grey:
