@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,6 +19,7 @@ from .io.exchange import project as projects
 from .io.exchange import registry
 from .io.exchange.options import Reading
 from .io.exchange.scene import Exchange, Shot
+from .io.shutters import rolls, unstated_shutters
 from .io.sniff import Tell
 from .io.surface import find_geoid, read_surface
 from .io.whereabouts import Mistake, mistaken
@@ -92,6 +93,7 @@ def init_project(files: Sequence[Path | str], folder: Path | str, *, ask: Ask | 
     names = assemble.image_names(photos)
     priors, told = _priors(photos, exifs, names, chosen, beside.orientations, xyz, given)
     readout, priors, shutter = _shutter(photos, camera_of, priors, chosen)
+    shutter += _unstated(photos, exifs, camera_of, cameras, readout)
     paths = [_written_path(photo, folder) for photo in photos]
     images = tuple(Image(*values) for values in zip(names, camera_of, paths, priors, strict=True))
     observations, left = assemble.measurements(control, images, photos, cameras, origin) if control else (_none(), ())
@@ -394,6 +396,16 @@ def _shutter(photos: Sequence[Path], camera_of: Sequence[str], priors: Sequence[
         said.append(f"gyroscope: {len(turns)} photos record how they turned while they were read, by {np.median(turns):.1f} "
                     "degrees (median); adjust takes it in (--rolling-shutter)")
     return readout, tuple(out), said
+
+
+def _unstated(photos: Sequence[Path], exifs: Sequence[Exif], camera_of: Sequence[str], cameras: Mapping[str, Interior],
+              readout: Mapping[str, float]) -> list[str]:
+    """What to say of cameras that move while they read, at a pace that no photo states."""
+    records: dict[str, list[Onboard]] = {}
+    for photo, exif, camera in zip(photos, exifs, camera_of, strict=True):
+        if camera not in readout and rolls(exif.model):
+            records.setdefault(camera, []).append(read_onboard(photo))
+    return unstated_shutters(cameras, records)
 
 
 # -- questions --------------------------------------------------------------------------------------------------------------

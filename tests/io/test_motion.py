@@ -111,3 +111,21 @@ def test_a_lens_stated_by_the_photo_is_taken(tmp_path, entries, known) -> None:
         seen = np.array([x * bent + 2 * 0.001 * x * y - 0.002 * (r2 + 2 * x * x),
                          y * bent + 0.001 * (r2 + 2 * y * y) - 2 * 0.002 * x * y])
         np.testing.assert_allclose(seen * 45 + [41, 29] - 0.5, [79, 59], atol=0.3)
+
+
+@pytest.mark.parametrize(("model", "step", "height", "moved"), [
+    ("FC300S", 3.0, 40.0, 2.6), ("FC300S", 0.3, 40.0, None), ("FC6310", 3.0, 40.0, None), ("FC300S", 3.0, None, None)])
+def test_a_readout_that_no_photo_tells_is_asked_for_where_it_matters(tmp_path, model, step, height, moved) -> None:
+    """Photos 2 s and `step` m apart, northwards; 5 mm, 0.004 mm pixels: 1 m at 40 m is 31 px."""
+    files = [photo(tmp_path / f"{k}.jpg", "" if height is None else f'drone-dji:RelativeAltitude="+{height}"') for k in range(3)]
+    for k, file in enumerate(files):
+        with Picture.open(file) as picture:
+            exif, xmp = picture.getexif(), picture.info["xmp"]
+            exif[272] = model
+            exif.get_ifd(0x8769)[36867] = f"2020:05:01 10:00:{2 * k:02d}"
+            exif.get_ifd(0x8825)[2] = (46.0, 30.0, k * step / 111_200 * 3600)
+            picture.save(file, exif=exif, xmp=xmp)
+    notes = [n for n in init_project(files, tmp_path / "p", pixel_um=2.2).notes if n.startswith("rolling shutter")]
+    assert len(notes) == (moved is not None)
+    if moved is not None:
+        assert f"moves by {moved} px" in notes[0] and "1.5 m/s, 40 m" in notes[0] and "readout_ms" in notes[0]
