@@ -252,23 +252,30 @@ def _thumbnails(state: State, made: Made, row: int) -> Scene:
 
 @by_identity(160)
 def _warped(thumbnail: np.ndarray, corners: bytes) -> tuple[np.ndarray, np.ndarray] | None:
-    """A photo on a raster north up, (h, w, 4) uint8, and the raster's corners (4, 2); its own corners are given as bytes."""
+    """A photo on a raster along its first edge, (h, w, 4) uint8, and the raster's corners (4, 2); its own corners come as bytes.
+
+    Along the photo, since a browser shows nothing of what lies under a transparent part: slivers are left of it at most.
+    """
     import cv2
 
     ring = np.frombuffer(corners).reshape(4, 2)
-    low, high = ring.min(axis=0), ring.max(axis=0)
-    scale = THUMB / float((high - low).max())
-    if not np.isfinite(scale) or scale <= 0:
+    edge = ring[1] - ring[0]
+    right = edge / max(float(np.linalg.norm(edge)), 1e-300)
+    axes = np.array([right, [right[1], -right[0]]])  # rightwards and downwards on the raster
+    own = (ring - ring[0]) @ axes.T
+    low, high = own.min(axis=0), own.max(axis=0)
+    scale = THUMB / max(float((high - low).max()), 1e-300)
+    if not np.isfinite(scale) or not edge.any():
         return None
     width, height = (max(int(np.ceil(v)), 2) for v in (high - low) * scale)
     h, w = thumbnail.shape[:2]
-    to = np.stack([(ring[:, 0] - low[0]) * scale, (high[1] - ring[:, 1]) * scale], axis=1) - 0.5
+    to = (own - low) * scale - 0.5
     mine = np.array([[-0.5, -0.5], [w - 0.5, -0.5], [w - 0.5, h - 0.5], [-0.5, h - 0.5]], np.float32)
     m = cv2.getPerspectiveTransform(mine, to.astype(np.float32))
     full = np.dstack([thumbnail, np.full((h, w), 255, np.uint8)])
     rgba = cv2.warpPerspective(full, m, (width, height), flags=cv2.INTER_AREA, borderValue=(0, 0, 0, 0))
-    east, south = low[0] + width / scale, high[1] - height / scale
-    return rgba, np.array([[low[0], high[1]], [east, high[1]], [east, south], [low[0], south]])
+    box = low + np.array([[0, 0], [width, 0], [width, height], [0, height]]) / scale
+    return rgba, ring[0] + box @ axes
 
 
 # -- what differs -------------------------------------------------------------------------------------------------------------

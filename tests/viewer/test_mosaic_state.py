@@ -31,7 +31,7 @@ from viewer_app.mosaic_actions import (
     WriteMosaic,
 )
 from viewer_app.mosaic_layer import assembled, csv_of, offsets
-from viewer_app.mosaic_scene import clicked, drift, measured, outlines, scene
+from viewer_app.mosaic_scene import _warped, clicked, drift, measured, outlines, scene
 from viewer_app.mosaic_state import Layer, Mosaic
 from viewer_app.mosaic_tasks import tasks
 from viewer_app.mosaic_work import MOST, request_of
@@ -280,3 +280,22 @@ def test_after_a_restart_every_tile_is_made_again_as_it_was(both: State, folder:
         assert now.grid == was.grid and set(now.tiles) == set(was.tiles) and len(was.tiles) > 3
         for name, tile in was.tiles.items():
             assert np.array_equal(now.tiles[name].rgba, tile.rgba), (method, name)
+
+
+@pytest.mark.parametrize("degrees", [0, 30, 135, -100])
+def test_a_turned_photo_fills_its_picture_and_lies_as_the_photo_does(degrees: float) -> None:
+    """A browser hides what is under transparent corners, so that there must be next to none."""
+    photo = np.zeros((60, 80, 3), np.uint8)
+    quarters = {(0.25, 0.25): (255, 0, 0), (0.75, 0.25): (0, 255, 0), (0.25, 0.75): (0, 0, 255), (0.75, 0.75): (255, 255, 0)}
+    for (x, y), colour in quarters.items():
+        photo[int(60 * y) - 15:int(60 * y) + 15, int(80 * x) - 20:int(80 * x) + 20] = colour
+    a = np.deg2rad(degrees)
+    ring = np.array([[0, 60], [80, 60], [80, 0], [0, 0.0]]) @ np.array([[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]]) + 5
+    made = _warped(photo, ring.tobytes())
+    assert made is not None
+    rgba, box = made
+    assert (rgba[..., 3] == 255).mean() > 0.94
+    for (x, y), colour in quarters.items():
+        place = ring[0] + x * (ring[1] - ring[0]) + y * (ring[3] - ring[0])
+        across, down = np.linalg.solve(np.stack([box[1] - box[0], box[3] - box[0]], axis=1), place - box[0])
+        assert tuple(rgba[int(down * len(rgba)), int(across * rgba.shape[1]), :3]) == colour
