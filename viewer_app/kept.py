@@ -13,8 +13,8 @@ R = TypeVar("R")
 
 
 def by_identity(size: int) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """A decorator: the last `size` results are kept, found again when every argument is the very same object, or an equal word or
-    number. From any thread."""
+    """A decorator: the last `size` results are kept, found again when every argument is the very same object, or an equal word,
+    number or bytes. From any thread."""
 
     def wrap(function: Callable[P, R]) -> Callable[P, R]:
         found: OrderedDict[tuple[Hashable, ...], tuple[Any, R]] = OrderedDict()
@@ -42,4 +42,4 @@ def by_identity(size: int) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
 def _same(value: object) -> Hashable:
     """Equal for arguments that are the same."""
-    return (type(value), value) if isinstance(value, str | int | float | bool | None) else id(value)
+    return (type(value), value) if isinstance(value, str | bytes | int | float | bool | None) else id(value)

@@ -12,6 +12,7 @@ from solvers.mosaic.measured import Measured
 from . import theme
 from .ground import nice, site, symbol_size
 from .kept import by_identity
+from .mosaic_fade import faded
 from .mosaic_place import scale_of, to_scene
 from .mosaic_state import EXAGGERATIONS, METHODS, Layer, Made, Mosaic, Tile
 from .state import State
@@ -64,26 +65,31 @@ def scene(state: State) -> Scene:
 
 
 def _tiles(state: State, room: Mosaic) -> Scene:
-    found, both = Scene(), all(m in room.made for m in METHODS)
-    for method, made in room.made.items():
-        if room.shown in METHODS and method != room.method:
-            continue
-        if room.shown not in METHODS and not both and method != room.method:
-            continue
-        opacity, part = room.opacity, (0.0, 1.0)
-        lift = 0.0
-        if room.shown == "fade" and both and method == "sequential":
-            opacity, lift = opacity * round(room.swipe, 2), _hair(state)
+    both = all(m in room.made for m in METHODS)
+    shown = {m: made for m, made in room.made.items() if m == room.method or (room.shown not in METHODS and both)}
+    if room.opacity <= 0:
+        return {}
+    if room.shown == "fade" and both:
+        under, over = (tuple(p for t in shown[m].tiles.values() if (p := _picture(state, shown[m], t, 1.0, 0.0, None)))
+                       for m in METHODS)
+        return {"/mosaic/faded": faded(under, over, round(room.swipe, 2), room.opacity)} if under or over else {}
+    found = Scene()
+    for method, made in shown.items():
+        line, lift = None, 0.0
         if room.shown == "swipe" and both:
-            part = (0.0, room.swipe) if method == "sequential" else (room.swipe, 1.0)
-        if opacity <= 0:
-            continue
-        line = _line(room, part) if part != (0.0, 1.0) else None
+            line = _line(room, (0.0, room.swipe) if method == "sequential" else (room.swipe, 1.0))
+            lift = round(_level(state, shown["simultaneous"]) - _level(state, made), 4)
         for tile in made.tiles.values():
-            value = _picture(state, made, tile, opacity, lift, line)
+            value = _picture(state, made, tile, room.opacity, lift, line)
             if value is not None:
                 found[f"/mosaic/{method}/tiles/{tile.number}"] = value
     return found
+
+
+def _level(state: State, made: Made) -> float:
+    """Height of a mosaic's tiles in the scene, 0 before there are any: two that are compared lie equally high."""
+    heights = [to_scene(state, made, t.corners)[:, 2].mean() for t in made.tiles.values()]
+    return float(np.mean(heights)) if heights else 0.0
 
 
 def _hair(state: State) -> float:
