@@ -29,7 +29,7 @@ GROUND = ("dxf", "footprints", "world")
 """Targets that need the ground beside the orientations."""
 BY_NAME = {"transforms.json": "nerfstudio", "bundle.out": "bundler", "gcp_list.txt": "gcp-odm", "project.opf": "opf"}
 BY_ENDING = {".opf": "opf", ".glb": "glb", ".ply": "ply", ".dxf": "dxf", ".points": "qgis", ".out": "bundler", ".bal": "bal",
-             ".ori": "patb",
+             ".ori": "patb", ".yml": "cal-opencv", ".yaml": "cal-opencv",
              **dict.fromkeys((".tfw", ".jgw", ".pgw", ".wld", ".tifw", ".jpgw"), "world")}
 
 

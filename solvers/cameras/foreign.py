@@ -184,6 +184,15 @@ def from_opencv(matrix: np.ndarray, distortion: np.ndarray, width: int, height: 
                  p2=d[3], width=width, height=height)
 
 
+def as_opencv(camera: Interior | Brown) -> tuple[np.ndarray, np.ndarray, Fit]:
+    """OpenCV's camera matrix (3, 3), its distortion (5,) or (8,), and the fit; OpenCV knows no skew of the axes."""
+    radial = ("k1", "k2", "k3", "d1", "d2", "d3") if isinstance(camera, Brown) else ("k1", "k2", "k3")
+    b, fit = to_brown(camera, (*radial, "p1", "p2", "aspect"))
+    names = ("k1", "k2", "p1", "p2", "k3", *(("d1", "d2", "d3") if any((b.d1, b.d2, b.d3)) else ()))
+    return (np.array([[b.fx, 0.0, b.cx], [0.0, b.fy, b.cy], [0.0, 0.0, 1.0]]),
+            np.array([float(getattr(b, name)) for name in names]), fit)
+
+
 def from_metashape(p: Mapping[str, float], width: int, height: int, pixel_mm: tuple[float, float] | None = None) -> Brown:
     """Metashape's frame camera: f, cx, cy (from the image centre), k1..k4, p1, p2 (the other way round), b1, b2 [px].
 

@@ -6,11 +6,14 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from PIL import Image
 
 from solvers import BadProject, BadTable
+from solvers.cameras import Interior
+from solvers.cameras.brown import Brown
 from solvers.cli import main
 from solvers.geometry import Exterior, LocalFrame, rotation
 from solvers.io import read_project
@@ -258,3 +261,27 @@ def test_a_local_project_may_be_given_its_map(tmp_path: Path, capsys: pytest.Cap
     assert main(["convert", demo, out, "--crs", "EPSG:32725"]) == 0
     assert "local coordinates are taken in EPSG:32725" in capsys.readouterr().out
     assert (tmp_path / "gcp_list.txt").read_text().startswith("EPSG:32725\n679")
+
+
+@pytest.mark.parametrize("camera", [OURS, FULL, replace(FULL, d1=0.004, d2=-0.001, d3=0.0002)])
+def test_a_calibration_for_opencv_gives_its_pixels(tmp_path: Path, camera) -> None:
+    write = registry.FORMATS["cal-opencv"].write
+    assert write is not None
+    notes = write(scene(camera), tmp_path / "lens.yml")
+    most = max((float(n.split("at most ")[1].split()[0]) for n in notes), default=1e-6)
+    assert most < 0.3 and (most > 1e-6) == (camera is OURS)
+    [back] = registry.read(tmp_path / "lens.yml").cameras.values()
+    pixels = np.stack(np.meshgrid(np.linspace(0, 5471, 23), np.linspace(0, 3647, 17)), -1).reshape(-1, 2)
+    if isinstance(camera, Interior):
+        xy = camera.ideal(pixels) / [camera.c, -camera.c]
+    else:
+        xy = camera.ideal(pixels)
+    seen = np.isfinite(xy).all(axis=1)
+    assert isinstance(back, Brown) and seen.mean() > 0.5
+    np.testing.assert_allclose(back.measured(xy[seen]), pixels[seen], atol=1.05 * most)
+    storage = cv2.FileStorage(str(tmp_path / "lens.yml"), cv2.FILE_STORAGE_READ)
+    k, d = storage.getNode("camera_matrix").mat(), storage.getNode("distortion_coefficients").mat()
+    assert d.size == (8 if not isinstance(camera, Interior) and camera.d1 else 5)
+    rays = np.column_stack([xy[seen], np.ones(seen.sum())])
+    own, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), k, d)
+    np.testing.assert_allclose(own[:, 0], pixels[seen], atol=1.05 * most)

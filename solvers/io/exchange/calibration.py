@@ -111,6 +111,20 @@ def _storage(path: Path) -> dict[str, Any]:
                                                                                                else None}
 
 
+def write_opencv(camera: Camera) -> tuple[str, tuple[str, ...]]:
+    """The YAML text of a calibration as OpenCV's FileStorage reads it, with 5 or 8 coefficients, and notes."""
+    from ...cameras.foreign import as_opencv
+
+    matrix, distortion, fit = as_opencv(camera)
+
+    def told(name: str, a: np.ndarray) -> str:
+        numbers = ", ".join(f"{v!r}" for v in a.ravel().tolist())
+        return f"{name}: !!opencv-matrix\n   rows: {a.shape[0]}\n   cols: {a.shape[1]}\n   dt: d\n   data: [ {numbers} ]\n"
+
+    return (f"%YAML:1.0\n---\nimage_width: {camera.width}\nimage_height: {camera.height}\n" + told("camera_matrix", matrix)
+            + told("distortion_coefficients", distortion[None])), fit.told("camera")
+
+
 # -- Pix4D .cam -----------------------------------------------------------------------------------------------------------
 
 
