@@ -60,6 +60,13 @@ def test_good_data_is_left_alone() -> None:
     assert not any("does not fit" in w or "exchanged" in w for w in adjust(BLOCK).warnings)
 
 
+def test_all_coordinates_of_all_control_in_feet_are_named() -> None:
+    assert BLOCK.crs == "local"
+    got = adjust(given(lambda xyz: np.divide(xyz, 0.3048, out=xyz)))
+    assert got.trace.converged and got.warnings[0].startswith("the control points look given in feet")
+    assert not any("feet" in w for w in adjust(BLOCK).warnings)
+
+
 def test_heights_of_all_control_in_feet_are_named() -> None:
     xyz = BLOCK.points.xyz.copy()
     xyz[np.array(BLOCK.points.role) == "control", 2] /= 0.3048

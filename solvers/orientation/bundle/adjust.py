@@ -25,7 +25,7 @@ from .orthogonal_statistics import orthogonal_statistics
 from .parts import parts, told
 from .problem import Bundle
 from .remedy import BAD, heights_in_feet, remedied
-from .rescue import exchanged
+from .rescue import control_in_feet, exchanged
 from .result import Adjusted, described
 from .start import start as begin
 from .statistics import datum_defects, statistics
@@ -112,8 +112,9 @@ def _adjusted(block: Block, request: BundleRequest, engine: Options | None, watc
               begun: Begun | None = None) -> Adjusted:
     start = prepare_bundle(block, request, begun)
     result = conclude_bundle(start, _run(start, engine or start.options, watch))
-    swapped = exchanged(block, {o.image: o.exterior.centre for o in result.orientations})
-    return replace(result, warnings=(*swapped, *result.warnings)) if swapped else result
+    centres = {o.image: o.exterior.centre for o in result.orientations}
+    said = (*exchanged(block, centres), *control_in_feet(block, centres))
+    return replace(result, warnings=(*said, *result.warnings)) if said else result
 
 
 def _run(start: BundleStart, options: Options, watch: Watch | None) -> Trace:

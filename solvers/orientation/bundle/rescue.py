@@ -130,3 +130,18 @@ def exchanged(block: Block, centres: dict[str, np.ndarray]) -> list[str]:
             said.append(f"images '{a}' and '{b}' look exchanged: each lies {off[a]:.3g} m from its own GPS position and on the "
                         "other's")
     return said
+
+
+def control_in_feet(block: Block, centres: dict[str, np.ndarray]) -> list[str]:
+    """A sentence where control places the images as many times farther apart than their priors as a metre has feet. centres:
+    adjusted, project coordinates."""
+    given = [(centres[i.name], i.prior.centre) for i in block.images
+             if i.name in centres and i.prior is not None and i.prior.centre is not None]
+    if len(given) < 3:
+        return []
+    ours, theirs = (a - a.mean(axis=0) for a in np.swapaxes(np.array(given, float), 0, 1))
+    ratio = float((ours**2).sum() / max((ours * theirs).sum(), 1e-9))  # the priors' noise does not bias it
+    if abs(ratio * FEET - 1) > 0.1:
+        return []
+    return [f"the control points look given in feet: placed by them the images lie {ratio:.3g} times as far apart as by their "
+            f"GPS positions; give X, Y and Z in metres (multiply by {FEET})"]
