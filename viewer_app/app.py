@@ -37,7 +37,7 @@ from .panels.status import StatusLine
 from .picking import pick
 from .state import FEW, MODELS, State, wanted
 from .tabs import Command, Desk, Panel, tabs, wanted_tasks, whole_scene
-from .theme import PERSPECTIVE
+from .theme import accent
 
 PICK_PIXELS = 12.0
 """How far from a point's middle a click still means it, pixels of the screen."""
@@ -415,7 +415,7 @@ class App:
     def _theme(self, dark: bool) -> None:
         if dark != self._dark:
             self._dark = dark
-            self.server.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False, brand_color=PERSPECTIVE)
+            self.server.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False, brand_color=accent(dark))
 
     def _heard(self, kind: str, value: Any, client: int | None = None) -> None:
         """What came through the wire; anyone who can open the page can send anything: the tabs check it again."""

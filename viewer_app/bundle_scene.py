@@ -16,6 +16,7 @@ from .bundle_values import Judged, Layout
 from .ground import nice, site, symbol_size
 from .kept import by_identity
 from .matching_scene import RAYS, SCALE, UNKNOWN
+from .mosaic_scene import below
 from .scene import CHI_95, MANY, pale
 from .state import State
 from .theme import Colour
@@ -338,9 +339,12 @@ def _scales(state: State) -> Scene:
         lines.append(("vectors", vector_factor(state), ": corrections of control, check errors"))
     if room.draw_ellipsoids and judged(state) is not None:
         lines.append(("ellipsoids", ellipsoid_factor(state), ": 95 % ellipsoids, a priori"))
+    first, step = np.array([low[0] + 0.6 * (high[0] - low[0]), low[1] - 0.12 * span, high[2]]), 0.08 * span
+    if (free := below(state)) is not None:  # below the mosaic's own, never across them
+        first, step = free[0], 0.08 * free[1]
     for k, (name, factor, words) in enumerate(lines):
         length = nice(max(span / 6 / factor, 1e-9))
-        begin = np.array([low[0] + 0.6 * (high[0] - low[0]), low[1] - (0.12 + 0.08 * k) * span, high[2]])
+        begin = first - np.array([0, k * step, 0])
         end, tick = begin + np.array([factor * length, 0, 0]), np.array([0, 0.015 * span, 0])
         bar = np.array([[begin, end], [begin - tick, begin + tick], [end - tick, end + tick]])
         found[f"/bundle/scale/{name}"] = Segments(bar, theme.foreground(state.view.dark), 2.0)

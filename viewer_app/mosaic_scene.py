@@ -351,18 +351,34 @@ def _residuals(state: State, room: Mosaic, made: Made) -> Scene:
     return found | _scale(state, made, factor, "residuals", "mosaic minus known points", 1)
 
 
-def _scale(state: State, made: Made, factor: float, name: str, what: str, line: int) -> Scene:
-    """A bar south of the mosaic as long as a round residual, and its words."""
+def below(state: State) -> tuple[np.ndarray, float] | None:
+    """Where (3,) the next bar begins south of those of the mosaic, and the site's extent with it; None where none is drawn."""
+    room = state.room(Mosaic)
+    made = room.current
+    if made is None or room.shown_row != room.last_row:
+        return None
+    drifts = room.drift and drift(room) is not None
+    residuals = room.residuals and len(made.points.off) > 0
+    return _south(state, room.made.get("simultaneous", made), 1 + residuals) if drifts or residuals else None
+
+
+def _south(state: State, made: Made, line: int) -> tuple[np.ndarray, float]:
+    """Where (3,) a bar begins, and the extent of site and mosaic together."""
     low, high = site(state)
     ring = np.concatenate([made.registration.footprint(k) for k in range(len(made.registration.names))])
     ring = to_scene(state, made, _lifted(made.registration, ring[np.isfinite(ring).all(axis=1)]))
     low, high = np.minimum(low, ring.min(axis=0)), np.maximum(high, ring.max(axis=0))  # beside the mosaic, never under it
     span = float((high - low)[:2].max())
+    plane = float(to_scene(state, made, _lifted(made.registration, np.zeros(2)))[2])
+    return np.array([low[0] + 0.45 * span, low[1] - (0.05 + 0.08 * line) * span, plane]), span
+
+
+def _scale(state: State, made: Made, factor: float, name: str, what: str, line: int) -> Scene:
+    """A bar south of the mosaic as long as a round residual, and its words."""
+    begin, span = _south(state, made, line)
     unit = made.registration.unit
     per = scale_of(state, made)
     length = nice(max(span / 8 / factor / per, 1e-9))
-    plane = float(to_scene(state, made, _lifted(made.registration, np.zeros(2)))[2])
-    begin = np.array([low[0] + 0.45 * span, low[1] - (0.05 + 0.08 * line) * span, plane])
     end = begin + np.array([factor * length * per, 0, 0])
     tick = np.array([0, 0.008 * span, 0])
     bar = np.array([[begin, end], [begin - tick, begin + tick], [end - tick, end + tick]])

@@ -18,6 +18,7 @@ CONTROL: Colour = (204, 121, 167)  # control points, reddish purple
 CHECK: Colour = (86, 180, 226)  # check points, sky blue
 RESIDUAL: Colour = (211, 94, 8)  # residual vectors, vermilion
 
+ACCENT_DARK: Colour = (0, 159, 248)  # buttons and the chosen tab on a dark ground: their words are black, the tab's ground is not
 BACKGROUND_DARK: Colour = (30, 32, 36)
 BACKGROUND_LIGHT: Colour = (255, 255, 255)
 FOREGROUND_DARK: Colour = (226, 226, 226)
@@ -30,6 +31,11 @@ MODELS: dict[str, Colour] = {"perspective": PERSPECTIVE, "orthogonal": ORTHOGONA
 def foreground(dark: bool) -> Colour:
     """The colour of text and of the truth on a dark or a light ground."""
     return FOREGROUND_DARK if dark else FOREGROUND_LIGHT
+
+
+def accent(dark: bool) -> Colour:
+    """The colour of buttons and of the chosen tab, from which the page makes its shades."""
+    return ACCENT_DARK if dark else PERSPECTIVE
 
 
 def background(dark: bool) -> Colour:

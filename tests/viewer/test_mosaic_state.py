@@ -15,6 +15,9 @@ from solvers import BadProject, Unsupported
 from solvers.geometry import Grid
 from viewer_app.acting import update
 from viewer_app.actions import Undo
+from viewer_app.bundle_actions import RunBundle
+from viewer_app.bundle_scene import scene as bundle_scene
+from viewer_app.bundle_tasks import tasks as bundle_tasks
 from viewer_app.loading import bring, open_project
 from viewer_app.matching_actions import Accept
 from viewer_app.matching_state import Matching
@@ -154,6 +157,21 @@ def test_drift_and_residuals_are_drawn_as_exaggerated_as_their_bars_say(both: St
                                10 * points.off[[r == "control" for r in points.roles]], atol=1e-9)
     assert "Drift" in drift_html(room(both)) and "control points rms" in residuals_html(room(both))
     assert "sequential" in summary_html(room(both))
+
+
+def test_the_bars_of_mosaic_and_bundle_lie_below_each_other(both: State) -> None:
+    run = work(update(both, RunBundle()), bundle_tasks)
+
+    def bars(state: State) -> list[np.ndarray]:
+        found = scene(state) | bundle_scene(state)
+        return [v.points[0] for p, v in found.items() if "/scale/" in p and isinstance(v, Segments)]
+
+    lines = bars(run)
+    longest = max(float(np.ptp(line[:, 0])) for line in lines)
+    y = np.sort([line[0, 1] for line in lines])
+    assert len(lines) == 4 and np.diff(y).min() > 0.2 * longest and np.ptp([line[0, 2] for line in lines]) < 1e-9
+    alone = bars(update(update(run, Look("drift", False)), Look("residuals", False)))
+    assert len(alone) == 2 and np.diff([line[0, 1] for line in alone])[0] != 0
 
 
 def test_swipe_cuts_both_and_fade_lays_one_over_the_other(both: State) -> None:

@@ -41,3 +41,15 @@ def test_the_studies_speak_the_colours_of_the_legend() -> None:
 
     said = {n: c for n, c in theme.legend().items() if n in COLOURS} | {"prior": theme.GEOREFERENCED, "printed": theme.RESIDUAL}
     assert COLOURS == {name: "#{:02x}{:02x}{:02x}".format(*colour) for name, colour in said.items()} and len(said) == 7
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_buttons_and_the_chosen_tab_can_be_read(dark: bool) -> None:
+    def light(colour: tuple[float, ...]) -> float:
+        c = np.array(colour) / 255
+        return float(np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4) @ [0.2126, 0.7152, 0.0722])
+
+    accent = light(theme.accent(dark)) + 0.05
+    ground = light((36, 36, 36) if dark else (255, 255, 255)) + 0.05  # of the page's panels
+    assert max(accent, ground) / min(accent, ground) > 4.5
+    assert not dark or accent / 0.05 > 4.5  # black words on a button

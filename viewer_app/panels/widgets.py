@@ -65,7 +65,7 @@ def swatch(colour: Colour) -> str:
 QUIET = (84, 92, 100)
 """Colour of a button that is not what one mostly comes for."""
 BOX = 'style="padding:2px 12px 8px;font-size:12px;line-height:1.45"'
-MUTED = 'style="opacity:.65"'
+MUTED = 'style="color:color-mix(in srgb,currentColor 65%,transparent)"'
 
 
 def table(head: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]], caption: str, height: int | None = None,
