@@ -169,9 +169,11 @@ def _observations(work: Work, image: str, point: str | None, unit: float) -> str
         name, (col, row) = block.points.names[j], block.observations.pixel[r]
         colour = css(INITIAL if name in work.off else CONTROL if block.points.role[j] == "control" else CHECK)
         size = (6.5 if name == point else 3.5) * unit
+        at = f'cx="{col + 0.5:.2f}" cy="{row + 0.5:.2f}" r="{size:.2f}" fill="none"'
         shapes.append(
-            f'<circle data-point="{esc(name)}" cx="{col + 0.5:.2f}" cy="{row + 0.5:.2f}" r="{size:.2f}" fill="none" '
-            f'stroke="{colour}" stroke-width="{1.4 * unit:.2f}"><title>{esc(name)}</title></circle>'
+            f'<circle {at} stroke="#000" stroke-opacity=".6" stroke-width="{3 * unit:.2f}"/>'  # seen on any ground
+            f'<circle data-point="{esc(name)}" {at} stroke="{colour}" stroke-width="{1.4 * unit:.2f}">'
+            f'<title>{esc(name)}</title></circle>'
         )
     return "".join(shapes)
 
