@@ -135,7 +135,8 @@ def spline(photo: Photo, col: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, 
     wx, dx = _weights(x - ix)
     wy, dy = _weights(y - iy)
     k = np.arange(-1, 3)
-    nodes = c[(iy[..., None] + k)[..., :, None], (ix[..., None] + k)[..., None, :]].astype(float)
+    down, right = (np.minimum(i[..., None] + k, n - 1) for i, n in ((iy, c.shape[0]), (ix, c.shape[1])))  # of a sliver, too
+    nodes = c[down[..., :, None], right[..., None, :]].astype(float)
     outside = np.where(inside, 0.0, np.nan)
 
     def weighted(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -44,6 +44,13 @@ def test_what_is_not_found_is_shown_too():
     assert outside.status == Status.OUTSIDE and outside.problem is None
 
 
+def test_a_sliver_of_a_photo_holds_no_match():
+    left, right, at, _ = pair(22)
+    for sliver in (right[:2], right[:, :2], right[:2, :2], right[:3]):
+        seen = match_stepped(left, sliver, at[0], np.array([1.0, 1.0]), search=5)
+        assert seen.status != Status.OK and not np.isfinite(seen.lsm.pixel).any() and np.isnan(seen.surface).all()
+
+
 def test_parameters_that_a_window_cannot_determine_are_held_in_the_template_axes():
     rng = np.random.default_rng(23)
     row, col = np.mgrid[:80, :80].astype(float)
