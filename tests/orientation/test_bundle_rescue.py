@@ -7,6 +7,7 @@ import pytest
 
 from solvers import Block
 from solvers.orientation import adjust
+from solvers.orientation.bundle.rescue import control_in_feet
 from solvers.simulation import field_long_range, uav_block
 
 BLOCK = uav_block(1, strips=2, images=3, ties=60, control=6, checks=3, fine=False).block
@@ -65,6 +66,18 @@ def test_all_coordinates_of_all_control_in_feet_are_named() -> None:
     got = adjust(given(lambda xyz: np.divide(xyz, 0.3048, out=xyz)))
     assert got.trace.converged and got.warnings[0].startswith("the control points look given in feet")
     assert not any("feet" in w for w in adjust(BLOCK).warnings)
+
+
+def test_positions_too_coarse_to_tell_feet_accuse_nobody() -> None:
+    rng, said = np.random.default_rng(5), 0
+    at = {i.name: i.prior.centre for i in BLOCK.images if i.prior is not None and i.prior.centre is not None}
+    middle = np.mean(list(at.values()), axis=0)
+    near = {n: middle + 0.02 * (c - middle) for n, c in at.items()}  # a camera that hardly moved
+    for _ in range(2000):
+        images = tuple(replace(i, prior=replace(i.prior, centre=near[i.name] + rng.normal(0, 5, 3))) for i in BLOCK.images
+                       if i.prior is not None)
+        said += bool(control_in_feet(replace(BLOCK, images=images), near))
+    assert said == 0
 
 
 def test_heights_of_all_control_in_feet_are_named() -> None:

@@ -140,8 +140,11 @@ def control_in_feet(block: Block, centres: dict[str, np.ndarray]) -> list[str]:
     if len(given) < 3:
         return []
     ours, theirs = (a - a.mean(axis=0) for a in np.swapaxes(np.array(given, float), 0, 1))
-    ratio = float((ours**2).sum() / max((ours * theirs).sum(), 1e-9))  # the priors' noise does not bias it
-    if abs(ratio * FEET - 1) > 0.1:
+    length = max(float(np.linalg.norm(ours)), 1e-9)
+    share = float((ours * theirs).sum()) / length**2  # the priors' noise does not bias it
+    spread = float(np.linalg.norm(theirs - share * ours)) / np.sqrt(max(theirs.size - 4, 1))  # of the priors, as they turn out
+    if abs(share / FEET - 1) > 0.1 or 1 - share < 5 * spread / length:
         return []
+    ratio = 1 / share
     return [f"the control points look given in feet: placed by them the images lie {ratio:.3g} times as far apart as by their "
             f"GPS positions; give X, Y and Z in metres (multiply by {FEET})"]
