@@ -128,7 +128,10 @@ class Redo(Action):
 
 @dataclass(frozen=True)
 class Say(Action):
+    """instead: the words these replace; where others were said since, they stay."""
+
     message: str
+    instead: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +216,7 @@ def _travel(state: State, action: Undo | Redo) -> State:
 
 @handles(Say)
 def _say(state: State, action: Say) -> State:
-    return replace(state, message=action.message)
+    return replace(state, message=action.message) if action.instead in (None, state.message) else state
 
 
 @handles(Saved)

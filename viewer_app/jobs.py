@@ -13,6 +13,7 @@ from contextlib import suppress
 from typing import Any
 
 from .acting import Action
+from .actions import Say
 from .frames import Receiver, Sender
 from .tasks import Task
 
@@ -143,8 +144,10 @@ class Lane:
         return None
 
     def _follow(self, task: Task) -> None:
-        """Until the task is done, failed, stopped or gone with its process."""
+        """Until the task is done, failed, stopped or gone with its process. One that compiles is let finish that: ended, it would
+        begin it anew."""
         told: float | None = None
+        busy = ""
         while True:
             with self._change:
                 while not self._inbox:
@@ -152,7 +155,7 @@ class Lane:
                         told = time.monotonic()
                         with suppress(OSError):
                             self._sender.send(("stop", self._number))
-                    if told is not None and time.monotonic() - told > GRACE:
+                    if told is not None and time.monotonic() - told > GRACE and (self._closed or not busy):
                         break
                     self._change.wait(None if told is None else 0.02)
                 message = self._inbox.popleft() if self._inbox else None
@@ -164,7 +167,13 @@ class Lane:
             generation, kind, number, value = message
             if generation != self._generation or (number != self._number and kind != "gone"):
                 continue
-            if kind == "value":
+            if busy:
+                self._emit(Say("", instead=busy))
+                busy = ""
+            if kind == "compiling":
+                busy = value[:1].upper() + value[1:]
+                self._emit(Say(busy))
+            elif kind == "value":
                 if still:
                     self._emit(task.arrive(value))
             elif kind == "gone":

@@ -14,7 +14,7 @@ import threading
 from contextlib import suppress
 from typing import Any, BinaryIO
 
-from solvers import PhotogrammetryError
+from solvers import PhotogrammetryError, compiled
 
 from .frames import Receiver, Sender
 
@@ -33,18 +33,21 @@ def main() -> None:
 
 
 class Worker:
-    """messages in: ("do", number, call, arguments), ("stop", number); out: (kind, number, value)."""
+    """messages in: ("do", number, call, arguments), ("stop", number); out: (kind, number, value).
+
+    "compiling" says that from here to the task's next word nothing can stop it, and what for.
+    """
 
     def __init__(self, source: BinaryIO, out: BinaryIO) -> None:
         self._receiver, self._sender = Receiver(source), Sender(out)
         self._todo: queue.Queue[tuple[int, Any, tuple[Any, ...]]] = queue.Queue()
-        self._stopped = -1
+        self._stopped = self._number = -1
         threading.Thread(target=self._listen, daemon=True).start()
 
     def serve(self) -> None:
         importlib.import_module("solvers.orientation.single")  # what the first task will want
         importlib.import_module("viewer_app.solving")
-
+        compiled.tell.append(lambda what: self._sender.send(("compiling", self._number, compiled.compiling(what))))
         self._sender.send(("ready", -1, None))
         while True:
             self._do(*self._todo.get())
@@ -64,6 +67,7 @@ class Worker:
                 self._todo.put((number, *rest))
 
     def _do(self, number: int, call: Any, arguments: tuple[Any, ...]) -> None:
+        self._number = number
         try:
             for value in call(*arguments):
                 if number <= self._stopped:

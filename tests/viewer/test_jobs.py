@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from solvers import compiled
 from solvers.errors import DegenerateGeometry
 from tests.viewer.conftest import make_block, make_state
 from viewer_app.acting import Action
-from viewer_app.actions import Failed, Say, Solved
+from viewer_app.actions import Failed, Say, Solved, update
 from viewer_app.frames import Receiver, Sender
-from viewer_app.jobs import Jobs
+from viewer_app.jobs import GRACE, Jobs
 from viewer_app.solving import solving_tasks
 from viewer_app.tasks import Task
 from viewer_app.worker import NICE
@@ -52,6 +53,13 @@ def degenerate() -> Iterator[int]:
 
 def wrong() -> Iterator[float]:
     yield 1 / 0
+
+
+def compiles(seconds: float) -> Iterator[int]:
+    for tell in compiled.tell:
+        tell("the kernels")
+    time.sleep(seconds)
+    yield 5
 
 
 def noisy() -> Iterator[int]:
@@ -132,6 +140,21 @@ def test_what_is_unwanted_stops_whether_it_listens_or_not(desk: Desk) -> None:
         if call is sleep:
             assert desk.jobs.processes() != (number,)  # it was ended
         assert not desk.said()
+
+
+def test_what_compiles_says_so_and_is_not_ended_for_it_would_begin_anew(desk: Desk) -> None:
+    desk.jobs.want((task("first use", compiles, 3 * GRACE),))
+    desk.wait(lambda: bool(desk.said()))
+    [number] = desk.jobs.processes()
+    desk.jobs.want((task("next", count, 1),))
+    desk.wait(lambda: desk.values() == [0])  # what was no longer wanted came to nothing
+    assert [*desk.jobs.processes()] == [number]
+    [words] = [a for a in desk.came if isinstance(a, Say) and a.message]
+    assert words.message == "Compiling the kernels for this machine; once, it takes some seconds"
+    assert Say("", instead=words.message) in desk.came
+    state = update(make_state(), words)
+    assert update(state, Say("", instead=words.message)).message == ""
+    assert update(update(state, Say("another")), Say("", instead=words.message)).message == "another"
 
 
 def test_a_crash_is_one_sentence_and_the_next_task_works(desk: Desk) -> None:
