@@ -194,7 +194,8 @@ def _only(state: State, action: UseOnly | UseBox) -> State:
     if not meant:
         return replace(state, message=why)
     off = frozenset(control - meant)
-    return edit(state, off=off) if off != state.work.off else state
+    said = f"{len(meant)} of {len(control)} control points are used now; Ctrl+Z takes that back."
+    return replace(edit(state, off=off), message=said) if off != state.work.off else state
 
 
 @handles(Set)

@@ -74,6 +74,7 @@ class App:
         self._painter = Painter(self.server)
         self._panels: list[Panel] = []
         self._build()
+        self._oriented = False
         self._home_opens = True  # until everything was solved once, what is found widens the first view
         self._kept: tuple[Any, ...] = ()
         self._painting = 0.0
@@ -219,6 +220,8 @@ class App:
         if not any(job.image == state.image and job.model in MODELS for job in jobs):
             self._first.set()
         network = state.room(Matching).network
+        if not self._oriented and any(s.orientation for s in state.work.solutions.values()):
+            self._oriented = self._home_opens = True  # the first camera of a project that had none is looked at
         if self._home_opens or network is not self._placed:  # tie points that were placed are looked at
             self._placed = network
             self._look()

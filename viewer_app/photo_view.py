@@ -14,6 +14,7 @@ from solvers.io.pyramid import build_pyramid, pyramid_path, read_window, resampl
 
 from .acting import Action, handles
 from .actions import Say
+from .sighting import sees, where
 from .state import Photo, State
 from .tasks import Task
 
@@ -68,7 +69,7 @@ class ShowWhole(Action):
 
 @dataclass(frozen=True)
 class ZoomToMark(Action):
-    """One photo pixel as eight of the page, around the mark, the chosen point or the middle."""
+    """One photo pixel as eight of the page: around the mark, where the chosen point is or should be, or the middle."""
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,13 @@ def window(state: State) -> Window:
 def percent(state: State) -> float:
     """Pixels of the page per photo pixel, in per cent."""
     return 100 * state.room(PhotoView).pane / window(state).width
+
+
+def around(state: State, col: float, row: float, width: float) -> State:
+    """The pane so many photo pixels wide, a pixel in its middle, as far as the photo reaches."""
+    camera = state.block.camera_of(state.image)
+    height = width * camera.height / camera.width
+    return _looking(state, col + 0.5 - width / 2, row + 0.5 - height / 2, width)
 
 
 def _looking(state: State, left: float, top: float, width: float) -> State:
@@ -154,13 +162,8 @@ def _to_mark(state: State, action: ZoomToMark) -> State:
     if state.mark is not None:
         at = state.mark.col, state.mark.row
     elif state.point is not None:
-        of = state.block.observations
-        j = state.block.point_index(state.point)
-        rows = [r for r in state.block.seen_in(state.image) if of.point[r] == j]
-        at = tuple(of.pixel[rows[0]].tolist()) if rows else at
-    width = state.room(PhotoView).pane / 8
-    height = width * camera.height / camera.width
-    return _looking(state, at[0] + 0.5 - width / 2, at[1] + 0.5 - height / 2, width)
+        at = sees(state, state.image, state.point) or where(state, state.image, state.point) or at
+    return around(state, *at, state.room(PhotoView).pane / 8)
 
 
 @handles(PyramidReady)

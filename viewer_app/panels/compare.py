@@ -6,7 +6,7 @@ import numpy as np
 
 from ..actions import Show, UseOnly, UsePoints
 from ..scene import COLOURS, sight
-from ..state import ADVICE, COMPARED, ONE_PASS, WITH_PRIOR, State
+from ..state import ADVICE, COMPARED, ONE_PASS, WITH_PRIOR, State, measured
 from ..tabs import Desk, Tab
 from .tables import KEYS, orientation_values
 from .widgets import BOX, MUTED, Html, bind, decimals, esc, prop, put, swatch, table
@@ -66,7 +66,7 @@ def advice_html(state: State) -> str:
     """The advice with its reasons, in words."""
     found = state.solution(ADVICE)
     if found is None or found.advice is None:
-        return f"<div {MUTED}>{esc(found.error) if found else 'No advice yet.'}</div>"
+        return f"<div {MUTED}>{esc(found.error) if found else ''}</div>"
     reasons = "".join(f"<li>{esc(r)}</li>" for r in found.advice.reasons)
     return f'<div role="note" aria-label="Advice"><b>Advice: {esc(found.advice.model)}</b>' \
            f'<ul style="margin:2px 0 6px;padding-left:18px">{reasons}</ul></div>'
@@ -76,7 +76,7 @@ def solutions_table(state: State) -> str:
     """Exterior orientations at the row shown, one solution beside the other, with their standard errors at the end."""
     models = solved(state)
     if not models:
-        return f"<div {MUTED}>No solution of this image yet.</div>"
+        return f"<div {MUTED}>{_none_yet(state)}</div>"
     values = {m: orientation_values(state, m) for m in models}
     rows = []
     for i, (name, unit) in enumerate(KEYS):
@@ -94,6 +94,13 @@ def solutions_table(state: State) -> str:
         rms.append(f"{np.sqrt((v**2).sum(axis=1).mean()):.2f}" if len(v) else "–")
     rows.append(("", (f"rms <span {MUTED}>px</span>", *rms)))
     return table(("", *(f"{swatch(COLOURS[m])}<br>{esc(m)}" for m in models)), rows, "Solutions compared", size=10)
+
+
+def _none_yet(state: State) -> str:
+    """Why there is nothing to compare, and what to do."""
+    if measured(state.block).get(state.image):
+        return f"No solution of {esc(state.image)} yet."
+    return "Both models are compared here once an image is oriented: mark at least three control points on its photo (tab Photo)."
 
 
 def _final_sigma(state: State, model: str) -> np.ndarray:

@@ -12,6 +12,7 @@ from ..actions import Action, Aim, Clicking, ForgetSpots, Place, Plot, Show, Unm
 from ..bridge import Wire
 from ..ground import nice
 from ..loading import crop
+from ..next_point import NextPoint, expected
 from ..photo_view import (
     Cut,
     PanPhoto,
@@ -34,6 +35,7 @@ from .widgets import BOX, MUTED, QUIET, Html, bind, css, decimals, esc, jpeg, pr
 
 CLICKS = {"measures the point": "measure", "gives ground coordinates": "monoplot"}
 ZOOMS = ("+", "−", "whole", "800 %")
+NEXT = "choose the next point that is not measured in this photo. Key: N"
 HALF = 24
 """Half side of the magnifier, pixels of the file."""
 
@@ -122,14 +124,16 @@ def photo_html(state: State, wire: Wire) -> str:
             f'<path d="M{x - r} {y}h{2 * r}M{x} {y - r}v{2 * r}" stroke="#fff" stroke-width="{2.4 * unit}"/>'
             f'<path d="M{x - r} {y}h{2 * r}M{x} {y - r}v{2 * r}" stroke="#000" stroke-width="{unit}"/>'
         )
-    shapes += _places(state, unit)
+    shapes += _places(state, unit) + _expected(state, unit)
     background = "background:var(--collinea-photo) 0 0/100% 100%" if has else "background:rgba(128,128,128,.2)"
     shape = f"width:min(100%,calc(62vh*{camera.width / camera.height:.4f}))"
     grain = "image-rendering:pixelated;" if percent(state) >= 150 else ""
     surface = wire.surface("photo").replace(
         'style="cursor:crosshair"', f'style="cursor:crosshair;display:block;overflow:hidden;{grain}{shape};{background}"'
     )
-    target = f"click to mark <b>{esc(state.point)}</b>" if state.point else "choose a point, then click the photo to mark it"
+    following = f"<span {wire.attributes('next-point', '', NEXT)}>next point ▸</span>"
+    target = f"click to mark <b>{esc(state.point)}</b>" if state.point else "choose a point (tab Points), then click it"
+    target += f" · {following}"
     if not len(state.block.points):
         target = "no points yet: tie points come from the tab Matching"
     if state.click == "monoplot":
@@ -144,6 +148,19 @@ def photo_html(state: State, wire: Wire) -> str:
         f"<div {MUTED}><span data-percent>{percent(state):.0f} %</span> · "
         f"{drawn}"
         f"wheel zooms, Shift+drag moves, a dragged rectangle uses only the GCPs in it</div></div>"
+    )
+
+
+def _expected(state: State, unit: float) -> str:
+    """A dashed ring where the chosen point should be seen, while it is not measured."""
+    if (at := expected(state)) is None or state.click != "measure":
+        return ""
+    colour = css(CONTROL if state.block.points.role[state.block.point_index(state.point or "")] == "control" else CHECK)
+    ring = f'cx="{at[0] + 0.5:.2f}" cy="{at[1] + 0.5:.2f}" r="{12 * unit:.2f}" fill="none"'
+    return (
+        f'<circle {ring} stroke="#000" stroke-opacity=".6" stroke-width="{3.4 * unit:.2f}"/>'
+        f'<circle data-expected="{esc(state.point)}" {ring} stroke="{colour}" stroke-width="{1.8 * unit:.2f}" '
+        f'stroke-dasharray="{5 * unit:.2f} {3 * unit:.2f}"><title>{esc(state.point)} should be here</title></circle>'
     )
 
 
@@ -292,6 +309,10 @@ def _pixels(state: State, value: Any, n: int) -> list[float] | None:
     return [c for u, v in zip(value[::2], value[1::2], strict=True) for c in shown.pixel(u, v)]
 
 
+def _heard_next(state: State, value: Any) -> NextPoint:
+    return NextPoint()
+
+
 def _heard_in(state: State, value: Any) -> Action | None:
     return ZoomPhoto(1.5, value[0], value[1], value[2] * 10_000) if isinstance(value, tuple) and len(value) == 3 else None
 
@@ -324,6 +345,7 @@ TAB = Tab(
     commands=(
         Command("Place mark", Place(), "M", hint="The mark becomes the observation of its point."),
         Command("Drop mark", Unmark()),
+        Command("Next point to measure", NextPoint(), "N", hint="The next one that is not measured in the chosen photo."),
         Command("Forget places", ForgetSpots()),
         Command("Zoom photo in", ZoomPhoto(2.0), "Z"),
         Command("Zoom photo out", ZoomPhoto(0.5), "Z", "shift"),
@@ -332,6 +354,7 @@ TAB = Tab(
     ),
     tasks=tasks,
     heard={
+        "next-point": _heard_next,
         "photo-in": _heard_in,
         "photo-out": _heard_out,
         "photo-pan": _heard_pan,

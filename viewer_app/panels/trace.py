@@ -25,6 +25,10 @@ from .plots import Curve, plot
 from .widgets import BOX, MUTED, Html, bind, prop, put, swatch
 
 BUTTONS = ("|◀", "◀", "▶❙❙", "▶", "▶|")
+NOTHING = (
+    "No iteration yet. They are stepped through here once three control points are marked on the photo (tab Photo) or a bundle "
+    "is run (tab Bundle)."
+)
 PLOTS = (("σ0", "sigma0"), ("cost", "cost"), ("step [σ]", "step"))
 
 
@@ -98,7 +102,7 @@ class TracePanel:
                 f"<span {MUTED}>{end}</span></div>"
             )
         playing = "<div>playing ▶</div>" if state.playing else ""
-        return "".join(lines) + playing or f"<div {MUTED}>No iteration yet.</div>"
+        return "".join(lines) + playing or f"<div {MUTED}>{NOTHING}</div>"
 
     def _plots(self, state: State) -> str:
         traces = _traces(state)
