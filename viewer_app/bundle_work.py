@@ -46,11 +46,16 @@ def bundle_work(block: Block, options: dict[str, Any], frame: LocalFrame,
         start = prepare_bundle(block, BundleRequest(**options), begun and Begun(*begun))
         yield layout_of(start.manifest, start.problem.network.interiors, frame)
         rows: list[Iteration] = []
+        began = time.monotonic()
         for row in iterate(start.problem, start.x0, start.options):
             if rows:
                 rows[-1] = thin(rows[-1])
             rows.append(row)
             yield row if row.stop else thin(row)
+            if row.index and not row.stop:
+                each = (time.monotonic() - began) / row.index
+                left = each * (start.options.max_iterations - row.index)
+                yield f"Iteration {row.index}, σ0 {row.sigma0:.4g}; {each:.2g} s each, at most {left:.0f} s left"
         yield f"{len(rows) - 1} iterations; standard errors …"
         yield _judged(start, tuple(rows), block, frame)
     except np.linalg.LinAlgError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -172,9 +173,11 @@ def adjust_work(block: Block, frame: LocalFrame) -> Iterator[str | Network]:
     datum = _datum(block)
     start = prepare_bundle(block, BundleRequest(datum=datum, rolling_shutter="auto"))  # type: ignore[arg-type]
     rows: list[Iteration] = []
+    began = time.monotonic()
     for row in iterate(start.problem, start.x0, start.options):
         rows.append(row)
-        yield f"Bundle: iteration {row.index}, sigma0 {row.sigma0:.3f}"
+        left = (time.monotonic() - began) / max(row.index, 1) * (start.options.max_iterations - row.index)
+        yield f"Bundle: iteration {row.index}, sigma0 {row.sigma0:.3f}" + (f", at most {left:.0f} s left" if row.index else "")
     done = conclude_bundle(start, Trace(tuple(rows), start.manifest))
     exteriors = {o.image: replace(o.exterior, centre=frame.to_local(o.exterior.centre)) for o in done.orientations}
     square: dict[str, list[float]] = {}

@@ -266,10 +266,11 @@ def _file(state: State, action: OpenLayer | WriteMosaic) -> State:
     room = state.room(Mosaic)
     what = "layer" if isinstance(action, OpenLayer) else "write"
     if what == "layer" and not action.path:
-        return state.with_room(replace(room, layer=None, busy=tuple(b for b in room.busy if not b.startswith("layer"))))
+        return state.with_room(replace(room, layer=None, under="", busy=tuple(b for b in room.busy if not b.startswith("layer"))))
     if room.current is None or not room.current.done:
         return state.with_room(replace(room, message="There is no finished mosaic yet; make one first."))
     busy = (*(b for b in room.busy if not b.startswith(what)), f"{what}|{action.path}")
+    room = replace(room, under=action.path) if what == "layer" else room
     return state.with_room(replace(room, busy=busy, message="", progress=""))
 
 

@@ -105,8 +105,8 @@ class Layer:
 class Mosaic:
     """ask: what the controls say. wanted: the mosaics to be made, by method; made: those that are there. shown: which of them,
     how (swipe: 0..1 from the west, or how far the fade is); row: of the trace (None: the end). click: what a click on the mosaic
-    means. places: measured ones (x, y), mosaic plane. exaggeration 0: made to fit. busy: what is being written or compared.
-    written: how many files were."""
+    means. places: measured ones (x, y), mosaic plane. under: file of the layer asked for. exaggeration 0: made to fit. busy: what
+    is being written or compared. written: how many files were."""
 
     ask: Ask = Ask()
     wanted: Mapping[str, Ask] = field(default_factory=dict)
@@ -123,6 +123,7 @@ class Mosaic:
     click: str = CLICKS[0]
     places: tuple[tuple[float, float], ...] = ()
     layer: Layer | None = None
+    under: str = ""
     layer_shown: bool = True
     busy: tuple[str, ...] = ()
     progress: str = ""

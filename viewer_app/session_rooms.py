@@ -26,6 +26,7 @@ from .kept_run import KeptRun
 from .lists import Tables
 from .looking import Looking
 from .matching_state import COLOURS, SIDES, Look, Matching
+from .matching_state import Ask as AskMatch
 from .mosaic_state import (
     BLENDS,
     CLICKS,
@@ -169,8 +170,11 @@ kept(_run_json, lambda _: KeptRun(), _run_again)(KeptRun)
 
 
 def _matching_json(room: Matching) -> dict[str, Any]:
-    names = ("first", "second", "window", "search", "threshold", "colour")
-    return {n: getattr(room, n) for n in names} | {"looks": {side: asdict(look) for side, look in room.looks.items()}}
+    """matched: the photos in which the place at is, or was, looked for; placed: whether tie points are, or are being."""
+    names = ("first", "second", "point", "at", "start", "window", "search", "threshold", "colour")
+    said = {n: getattr(room, n) for n in names} | {"looks": {side: asdict(look) for side, look in room.looks.items()}}
+    matched = [a.second for a in (*(f.ask for f in room.found), *room.asked)]
+    return {**said, "matched": matched, "placed": room.network is not None or room.task == "adjust"}
 
 
 def _matching(said: Any) -> Matching:
@@ -182,14 +186,29 @@ def _matching(said: Any) -> Matching:
 
 
 def _matching_again(state: State, said: Any) -> State:
-    """Photos that are no more are not looked at."""
+    """The same matches and the same bundle of tie points are asked for; photos and points that are no more are left out."""
     room, names = state.room(Matching), {i.name for i in state.block.images}
     gone = [s for s in SIDES if room.image(s) not in names]
-    if not gone:
-        return state
     looks = {s: look for s, look in room.looks.items() if s not in gone}
     first, second = ("" if s in gone else room.image(s) for s in SIDES)
-    return state.with_room(replace(room, first=first, second=second, looks=looks))
+    room = replace(room, first=first, second=second, looks=looks, task="adjust" if said.get("placed") is True else "")
+    try:
+        point, at, start = said.get("point"), _pair(said.get("at")), _pair(said.get("start"))
+        if not gone and at is not None and (point is None or point in state.block.points.names):
+            others = [n for n in said.get("matched", ()) if n in names and n != first][:100]
+            asked = tuple(AskMatch(room.serial + 1 + k, first, other, at, start, point, room.window, room.search,
+                                   room.threshold) for k, other in enumerate(others))
+            room = replace(room, point=point, at=at, start=start, asked=asked, serial=room.serial + len(asked))
+    except (TypeError, ValueError):
+        pass  # what somebody wrote by hand
+    return state.with_room(room)
+
+
+def _pair(said: Any) -> tuple[float, float] | None:
+    if said is None:
+        return None
+    col, row = (_number(v, -1e6, 1e6) for v in said)
+    return col, row
 
 
 kept(_matching_json, _matching, _matching_again)(Matching)
@@ -219,7 +238,7 @@ SHOWS = ("outlines", "thumbnails", "drift", "residuals", "layer_shown")
 
 def _mosaic_json(room: Mosaic) -> dict[str, Any]:
     wanted = {method: asdict(ask) for method, ask in room.wanted.items()}
-    names = ("shown", "swipe", "opacity", "row", "exaggeration", "click", *SHOWS)
+    names = ("shown", "swipe", "opacity", "row", "exaggeration", "click", "under", "conjugate", *SHOWS)
     return {"ask": asdict(room.ask), "wanted": wanted, "places": room.places} | {name: getattr(room, name) for name in names}
 
 
@@ -230,6 +249,11 @@ def _mosaic(said: Any) -> Mosaic:
     room = Mosaic(_ask(said["ask"]), wanted, {}, _one(said["shown"], SHOWN), _number(said["swipe"], 0, 1),
                   _number(said["opacity"], 0, 1), row, exaggeration=_number(said["exaggeration"], 0, EXAGGERATIONS[-1]),
                   click=_one(said["click"], CLICKS), places=places)
+    under, conjugate = str(said.get("under", ""))[:1000], said.get("conjugate")
+    if conjugate is not None:
+        image, x, y = conjugate
+        room = replace(room, conjugate=(str(image), _number(x, -1e9, 1e9), _number(y, -1e9, 1e9)))
+    room = replace(room, under=under, busy=(f"layer|{under}",) if under and wanted else ())  # read again over the mosaic
     return replace(room, **{name: _one(said[name], (True, False)) for name in SHOWS})
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -26,14 +27,17 @@ from tests.viewer.sessions import (
     settle,
     until,
 )
-from viewer_app import theme
-from viewer_app.actions import ChooseImage, ChoosePoint, ForgetSpots, Show, Step, UseOnly, UsePoints
+from viewer_app import theme, tones
+from viewer_app.actions import ChooseImage, ChoosePoint, ForgetSpots, Show, Speed, Step, UseOnly, UsePoints
 from viewer_app.app import App
-from viewer_app.figures import CORRELATION, ELEMENTS, FIGURES
+from viewer_app.figures import CORRELATION, ELEMENTS, FIGURES, ChooseFigure
+from viewer_app.flying import Fly
 from viewer_app.looking import Looking, looked_through
 from viewer_app.paint_viser import frustum_pose
+from viewer_app.panels.widgets import css
 from viewer_app.photo_view import percent, window
-from viewer_app.scene import scene
+from viewer_app.picking import pick
+from viewer_app.scene import frustum_depth, scene, sight, vector_scale
 from viewer_app.spots import plotted
 from viewer_app.state import COMPARED
 from viewer_app.values import Segments
@@ -83,6 +87,8 @@ def test_stepping_changes_the_frustum(session: Session) -> None:
     assert before and after and np.linalg.norm(np.subtract(before["position"], after["position"])) > 1e-3
     v.click_button("▶")
     v.wait_until(lambda: app.state.row == 1 and has_pose(app, v, path), "row 1")
+    v.click_button("◀")
+    v.wait_until(lambda: app.state.row == 0 and v.pose(path) == after, "back in row 0")
     v.click_button("▶|")
     v.wait_until(lambda: app.state.row == app.state.last_row and has_pose(app, v, path), "the last row")
 
@@ -96,6 +102,14 @@ def test_keys_step_too(session: Session) -> None:
     v.wait_until(lambda: app.state.row == 1, "the right arrow")
     v.hotkey("ArrowLeft")
     v.wait_until(lambda: app.state.row == 0, "the left arrow")
+    speed = app.state.speed
+    act(app, v, Speed(0.5))
+    v.hotkey("Space")
+    v.wait_until(lambda: app.state.playing, "play")
+    v.hotkey("Space")
+    v.wait_until(lambda: not app.state.playing, "pause")
+    assert app.state.row < app.state.last_row
+    act(app, v, Speed(speed), Step("first"))
     v.hotkey("Space")
     v.wait_until(lambda: app.state.row > 0, "play")
     v.hotkey("End")
@@ -111,7 +125,27 @@ def test_the_slider_and_the_plots_choose_a_row(session: Session) -> None:
     v.wait_until(lambda: mark.get_attribute("data-now") == "2", "the mark in the plot")
     v.page.locator("svg[aria-label^='cost'] rect[data-value='1']").click()
     v.wait_until(lambda: app.state.row == 1 and mark.get_attribute("data-now") == "1", "row 1")
+    marks = v.page.locator("svg line[data-now]")
+    assert [m.get_attribute("data-now") for m in marks.all()] == ["1", "1", "1"]  # σ0, cost, step
     act(app, v, Step("last"))
+
+
+def test_scrubbing_reads_the_trace_and_solves_nothing(session: Session) -> None:
+    app, v = session
+    v.open_tab("Iterations")
+    settle(app, v)
+    handed = [lane._number for lane in app._jobs._lanes.values()]
+    traces = app.state.work.solutions
+    path = camera_path(app)
+    poses = []
+    for row in (0, 3, 1, 2, app.state.last_row):
+        v.set_slider("Iteration", row)
+        v.wait_until(lambda row=row: app.state.row == row and has_pose(app, v, path), f"row {row}")
+        poses.append(v.pose(path)["position"])  # type: ignore[index]
+    for figure in (CORRELATION, ELEMENTS, FIGURES[0]):
+        act(app, v, ChooseFigure(figure), Step("first"), Step("next"), Step("last"))
+    assert len({tuple(p) for p in poses}) > 3  # it was seen
+    assert app.state.work.solutions is traces and [lane._number for lane in app._jobs._lanes.values()] == handed
 
 
 def test_play_goes_at_the_speed_chosen_and_stops_at_the_end(session: Session) -> None:
@@ -158,6 +192,72 @@ def test_names_and_terrain_are_switched_on_and_off(session: Session) -> None:
     v.open_tab("Iterations")
 
 
+PROPS = """([node, name]) => { const found = window.__viserSceneTree.getState()[node].message.props[name];
+            return typeof found === 'number' ? found : Array.from(found); }"""
+"""What the page's scene holds of a node."""
+
+
+def points_of(v: ViserPage, node: str) -> np.ndarray:
+    """Ends (n, 2, 3) of a node's lines, as the page holds them."""
+    return np.array(v.page.evaluate("""n => { const bytes = window.__viserSceneTree.getState()[n].message.props.points;
+        return Array.from(bytes instanceof Float32Array ? bytes : new Float32Array(bytes.buffer, bytes.byteOffset)); }""", node),
+        np.float32).reshape(-1, 2, 3)
+
+
+def test_cameras_and_points_are_drawn_as_the_legend_says(session: Session) -> None:
+    """Grey start, blue perspective, orange orthogonal, dashed as printed, green by GPS, thin truth; circle and triangle."""
+    app, v = session
+    at = f"/images/{app.state.image}"
+    colours = {"initial": theme.INITIAL, "perspective": theme.PERSPECTIVE, "orthogonal": theme.ORTHOGONAL,
+               "as_printed": theme.ORTHOGONAL, "georeferenced": theme.GEOREFERENCED, "truth": theme.foreground(False)}
+    v.wait_nodes(*(f"{at}/{name}/camera" for name in colours), "/points/control", "/points/check")
+    for name, colour in colours.items():
+        drawn = v.page.evaluate(PROPS, [f"{at}/{name}/camera", "colors" if name == "as_printed" else "color"])
+        assert tuple(drawn[:3]) == tones.sent(colour), name
+    thick = {name: v.page.evaluate(PROPS, [f"{at}/{name}/camera", "thickness"]) for name in colours}
+    assert thick["truth"] == min(thick.values()) < thick["perspective"]
+    dashes = points_of(v, f"{at}/as_printed/camera")
+    assert len(dashes) > 5 * 8  # of eight edges
+    roles = app.state.block.points.role
+    assert len(points_of(v, "/points/control")) == (3 + 24) * roles.count("control")  # a cross in a circle
+    assert len(points_of(v, "/points/check")) == (3 + 3) * roles.count("check")  # a cross in a triangle
+    v.open_tab("Legend")
+    legend = v.page.get_by_role("list", name="Legend")
+    drawn = legend.locator("[stroke]").evaluate_all("all => all.map(e => e.getAttribute('stroke'))")
+    assert {css(c) for c in theme.legend().values()} <= set(drawn)
+    v.open_tab("Iterations")
+
+
+def test_the_difference_of_the_models_is_seen(session: Session) -> None:
+    """Rays converge in the perspective centre, the orthogonal bundle is parallel and ends in the average plane; the difference of
+    the centres is drawn as exaggerated as it says."""
+    app, v = session
+    at, before = f"/images/{app.state.image}", app.state.view.labels
+    act(app, v, Show("labels", True), Step("last"))
+    one, two = app.state.exterior("perspective"), app.state.exterior("orthogonal")
+    assert one and two
+    v.wait_nodes(f"{at}/perspective/rays", f"{at}/orthogonal/parallel", f"{at}/orthogonal/rays", f"{at}/orthogonal/plane",
+                 f"{at}/difference", f"{at}/perspective/residuals")
+    converging, parallel = points_of(v, f"{at}/perspective/rays"), points_of(v, f"{at}/orthogonal/parallel")
+    assert np.allclose(converging[:, 0], one.centre, atol=1e-3)
+    assert np.linalg.matrix_rank(np.ptp(converging, axis=1), tol=1.0) == 3
+    ways = parallel[:, 1] - parallel[:, 0]
+    ways /= np.linalg.norm(ways, axis=1)[:, None]
+    assert len(ways) == len(converging) > 10 and np.abs(np.abs(ways @ ways[0]) - 1).max() < 1e-5
+    feet = points_of(v, f"{at}/orthogonal/rays")[:, 1].astype(float)
+    middle = feet.mean(axis=0)
+    assert np.linalg.svd(feet - middle)[1][2] < 1e-2  # m: they lie in one plane
+    assert np.abs((feet - middle) @ ways[0]).max() < 1e-2  # across the bundle
+    v.wait_until(lambda: "drawn × " in written(v, f"{at}/difference_label"), "the words")
+    factor = float(written(v, f"{at}/difference_label").split("drawn × ")[1])
+    arrow = points_of(v, f"{at}/difference")[0]
+    assert factor > 10 and np.allclose(arrow, [one.centre, one.centre + factor * (two.centre - one.centre)], atol=1e-2)
+    residuals, seen = points_of(v, f"{at}/perspective/residuals"), sight(app.state, "perspective")
+    assert seen is not None
+    assert np.allclose(residuals[:, 1] - residuals[:, 0], vector_scale(app.state) * seen.vectors, atol=1e-2)
+    act(app, v, Show("labels", before))
+
+
 def written(v: ViserPage, node: str) -> str:
     """What a label of the scene says."""
     return v.page.evaluate("n => window.__viserSceneTree.getState()[n]?.message?.props?.text ?? ''", node)
@@ -173,6 +273,18 @@ def test_what_is_exaggerated_is_written_in_the_scene_beside_a_scale_bar(session:
     v.set_slider("Ellipsoids ×", 30)
     until(app, v, lambda: (app.state.view.vectors, app.state.view.ellipsoid) == (120, 30), "both sliders")
     v.wait_until(lambda: "m, residuals × 120, 95 % ellipsoids × 30" in written(v, "/ground/scale_label"), "the words")
+    bar = points_of(v, "/ground/scale")
+    assert np.isclose(np.ptp(bar[0], axis=0).max(), float(written(v, "/ground/scale_label").split(" m")[0]), rtol=1e-5)
+    solution = app.state.solution("perspective")
+    assert solution and solution.orientation
+    axes = 2.7955 * 30 * np.sqrt(np.linalg.eigvalsh(solution.orientation.covariance[:3, :3]))  # 95 %, three degrees of freedom
+    drawn = v.page.evaluate(PROPS, [camera_path(app).replace("camera", "ellipsoid"), "scale"])
+    assert np.allclose(sorted(drawn), axes, rtol=1e-4)
+    v.open_tab("Orientation")
+    v.page.get_by_text("Ellipsoids of the centres: 95 %, factor 2.795").wait_for()
+    words = v.page.get_by_role("status", name="Messages").inner_text()
+    assert "a priori from the given standard errors, drawn × 30; redundancy of the adjustment " in words
+    assert f"adjustment {solution.orientation.dof}" in words
     v.open_tab("Photo")
     v.set_slider("Photo residuals ×", 20)
     until(app, v, lambda: app.state.view.photo_vectors == 20, "the photo's slider")
@@ -234,17 +346,33 @@ def test_a_click_on_the_marker_switches_the_point_too(points_only: Session) -> N
     on_canvas = "([x, y]) => document.elementFromPoint(x, y)?.tagName === 'CANVAS'"
     free = [j for j in np.argsort(-apart.min(axis=1)) if v.page.evaluate(on_canvas, pixels[j].tolist())]
     v.click_at(*pixels[free[0]])
-    until(app, v, lambda: app.state.work.off == {names[free[0]]}, "the point to be off")
-    v.hotkey("Control+z")
-    v.wait_until(lambda: not app.state.work.off, "undo")
+    name = names[free[0]]
+    until(app, v, lambda: app.state.work.off == {name}, "the point to be off")
+    v.open_tab("Orientation")
+    table = v.page.get_by_role("table", name="Residuals of the point")  # in every image, at once
+    of, j = app.state.block.observations, app.state.block.point_index(name)
+    assert table.locator("tbody tr").count() == len(np.unique(of.image[of.point == j])) > 1
+    v.click_button("Switch point on or off")
+    until(app, v, lambda: not app.state.work.off, "the point to be on")
+    v.click_button("Make point control or check")
+    until(app, v, lambda: app.state.block.points.role[j] == "check", "the check point")
+    solution = app.state.solution("perspective")
+    assert solution and solution.orientation and name not in solution.orientation.points
+    for _ in range(3):
+        v.hotkey("Control+z")
+    v.wait_until(lambda: not app.state.work.off and app.state.block.points.role[j] == "control", "undo")
 
 
 def test_a_cluster_is_chosen_by_its_group(session: Session) -> None:
     app, v = session
     points = app.state.block.points
     group = sorted(set(points.group) - {""})[0]
-    v.choose("GCPs used", group)
+    v.open_tab("Compare")
+    v.choose("Cluster", group)
     until(app, v, lambda: 0 < len(app.state.control()) < points.role.count("control"), "the cluster")
+    assert {points.group[points.names.index(n)] for n in app.state.control()} == {group}
+    v.open_tab("Orientation")
+    assert v.page.get_by_label("GCPs used", exact=True).input_value() == group
     solution = app.state.solution("perspective")
     assert solution and (solution.orientation or solution.error)
     v.choose("GCPs used", "all")
@@ -468,7 +596,12 @@ def test_a_rectangle_on_the_photo_chooses_control_and_all_solutions_stand_beside
     assert all(model in words for model in COMPARED) and "±" in words
     errors = v.page.get_by_role("table", name="Predicted and actual error").inner_text()
     assert "actual" in errors and "predicted" in errors
-    assert v.page.get_by_role("note", name="Advice").inner_text().startswith("Advice: ")
+    said = [float(d) for d in re.findall(r"Δ ([+-][\d.]+)", words)]
+    one, two = app.state.exterior("perspective"), app.state.exterior("orthogonal")
+    assert one and two and len(said) == 6 * (len(COMPARED) - 1)
+    assert np.allclose(said[:: len(COMPARED) - 1][:3], two.centre - one.centre, atol=0.006)
+    advice = v.page.get_by_role("note", name="Advice")
+    assert advice.inner_text().startswith("Advice: ") and advice.locator("li").count() >= 1
     act(app, v, Step("first"))  # one slider steps all of them
     v.wait_until(lambda: "±" not in table.inner_text(), "row 0 in the table")
     act(app, v, Step("last"), Show("compared", False))
@@ -489,12 +622,20 @@ def test_figures_of_the_solution_are_chosen_in_the_panel(session: Session) -> No
     v.open_tab("Iterations")
     v.choose("Figure", CORRELATION)
     for model in ("perspective", "orthogonal"):
-        v.page.get_by_role("img", name=f"Correlation, {model}").wait_for()
+        heat = v.page.get_by_role("img", name=f"Correlation, {model}")
+        heat.wait_for()
+        drawn = [float(r) for r in heat.locator("[data-r]").evaluate_all("all => all.map(e => e.dataset.r)")]
+        solution = app.state.solution(model)
+        assert solution and solution.orientation
+        c = solution.orientation.covariance
+        assert np.allclose(np.reshape(drawn, (6, 6)), c / np.sqrt(np.outer(np.diag(c), np.diag(c))), atol=1e-4)
     v.hotkey("p")
     drawn = v.page.get_by_role("img", name=f"Residuals on the photo {app.state.image}")
     drawn.wait_for()
     assert drawn.locator("[data-residual]").count() >= 2 * len(app.state.control()) * 0.8
     v.choose("Figure", ELEMENTS)
+    for name in ("|X − final| m", "|Y − final| m", "|Z − final| m", "|ω − final| °", "|φ − final| °"):
+        v.page.get_by_role("img", name=name).locator("line[data-now]").wait_for(state="attached")
     v.page.get_by_role("img", name="|κ − final| °").locator("rect").first.click()
     v.wait_until(lambda: app.state.row == 0, "row 0")
     act(app, v, Step("last"))
@@ -537,6 +678,28 @@ def test_one_looks_through_a_frustum_and_returns(session: Session) -> None:
     v.wait_until(lambda: np.allclose(camera.position, before[0], atol=1e-3), "the way back")
     v.wait_until(lambda: abs(camera.fov - before[1]) < 1e-6, "the field of view")
     v.wait_until(lambda: not looked_through(app.state), "no photo over the scene")
+    v.wait_until(lambda: camera_arrived(app, v), "the page's own camera")
+    other, place = clickable(app, v)
+    v.click_at(*place)
+    until(app, v, lambda: looked_through(app.state) == other, "the frustum clicked to be looked through")
+    v.hotkey("Escape")
+    v.wait_until(lambda: not looked_through(app.state) and np.allclose(camera.position, before[0], atol=1e-3), "the way back")
+    act(app, v, ChooseImage(image))
+
+
+def clickable(app: App, v: ViserPage) -> tuple[str, tuple[float, float]]:
+    """An image other than the chosen one whose picture in the scene no panel covers, and where its middle is on the page."""
+    camera = next(iter(app.server.get_clients().values())).camera
+    for name in (i.name for i in app.state.block.images if i.name != app.state.image):
+        exterior = app.state.exterior("perspective", name)
+        assert exterior is not None
+        middle = exterior.centre - frustum_depth(app.state) * exterior.m[2]
+        meant = pick(app.state, np.array(camera.position), middle - camera.position, 0.0)
+        place = v.project(middle)
+        on_canvas = v.page.evaluate("([x, y]) => document.elementFromPoint(x, y)?.tagName === 'CANVAS'", place)
+        if on_canvas and meant == Fly("through", name):
+            return name, place
+    raise AssertionError("no frustum is to be seen")
 
 
 # -- ways out
@@ -548,6 +711,10 @@ def test_the_scene_is_downloaded_as_glb(session: Session) -> None:
     app, v = session
     loaded: Any = trimesh.load(io.BytesIO(downloaded(app, v, "Scene as GLB", "glb")), file_type="glb")
     assert camera_path(app) in loaded.graph.nodes
+    loaded = trimesh.load(io.BytesIO(downloaded(app, v, "Scene as PLY", "ply")), file_type="ply")
+    assert len(loaded.faces) > 20 and np.isfinite(loaded.vertices).all()
+    centres = np.array([e.centre for m in ("perspective", "orthogonal") if (e := app.state.exterior(m))])
+    assert np.linalg.norm(loaded.vertices[:, None] - centres, axis=2).min(axis=0).max() < 1e-2  # metres from the scene's origin
 
 
 def test_saving_writes_what_was_edited(session: Session) -> None:
@@ -578,8 +745,8 @@ def test_dark_and_light(session: Session) -> None:
     v.wait_until(lambda: corner(v).min() > 240, "a light page")
     v.set_checkbox("Dark", True)
     v.wait_until(lambda: app.state.view.dark and corner(v).max() < 60, "a dark page")
-    truth = scene(app.state)[f"/images/{app.state.image}/truth/camera"]
-    assert truth.colour == theme.foreground(True)  # type: ignore[union-attr]
+    truth = f"/images/{app.state.image}/truth/camera"
+    v.wait_until(lambda: tuple(v.page.evaluate(PROPS, [truth, "color"])) == tones.sent(theme.foreground(True)), "a light truth")
     v.set_checkbox("Dark", False)
     v.wait_until(lambda: not app.state.view.dark and corner(v).min() > 240, "a light page")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
 import re
 import shutil
 import zipfile
@@ -31,12 +32,36 @@ from tests.viewer.sessions import (
     settle,
     until,
 )
-from viewer_app.actions import Show, Step, SwitchPoint, Undo
+from viewer_app.actions import (
+    Aim,
+    ChoosePoint,
+    Clicking,
+    ForgetSpots,
+    Place,
+    Plot,
+    Set,
+    Show,
+    Speed,
+    Step,
+    SwitchPoint,
+    Undo,
+    UseOnly,
+)
+from viewer_app.actions_points import EditPoint, SwitchRole
 from viewer_app.app import App
 from viewer_app.bridge import controls
-from viewer_app.bundle_actions import FreeParameter
+from viewer_app.bundle_actions import FreeParameter, SetBundle
 from viewer_app.bundle_state import Bundle
 from viewer_app.desktop import Desktop
+from viewer_app.epochs import DrawEllipsoids, Exaggerate
+from viewer_app.figures import ELEMENTS, ChooseFigure
+from viewer_app.kept_run import KeepRun, kept_of
+from viewer_app.lists import ShowRows, SortBy
+from viewer_app.looking import Opacity
+from viewer_app.matching_actions import LookAt, Pair, Tune
+from viewer_app.mosaic_actions import Choose, Look
+from viewer_app.photo_view import ZoomPhoto
+from viewer_app.session import to_json
 from viewer_app.tabs import tabs
 
 UNIT = re.compile(r"×|°|%|\b(m|mm|px|pixels?|metres|rows?|per second|epochs?|factor|no unit)\b", re.IGNORECASE)
@@ -158,23 +183,36 @@ def test_a_map_is_handed_over_and_nothing_else(session: Session, tmp_path: Path)
     v.open_tab("Orientation")
 
 
-def test_a_dozen_edits_are_undone_and_redone_by_key(session: Session) -> None:
+def test_a_hundred_edits_of_all_tabs_are_undone_and_redone_by_key(session: Session) -> None:
     app, v = session
-    before = app.state.work.block
-    names = app.state.control()[:6]
-    act(app, v, *map(SwitchPoint, (*names, *names)))
-    assert len(app.state.past) >= 12
-    for _ in range(11):
+    names, of = app.state.control()[:6], app.state.block.observations
+    col, row = of.pixel[0] + 3.0
+    edits = [*map(SwitchPoint, names), *(EditPoint(names[0], f, "0.25") for f in ("sX", "sY", "sZ")), SwitchRole(names[1]),
+             Aim(float(col), float(row), names[0]), Place(), Set("robust", True), UseOnly(names[2:]),
+             *(Plot(50.0 + n, 60.0) for n in range(30)), ForgetSpots(),
+             *(FreeParameter("k1", n % 2 == 0) for n in range(20)), *(SetBundle("datum", d) for d in ("both", "free") * 5),
+             *(Tune("threshold", 0.3 + n / 50) for n in range(16)), *(Choose("gsd", n / 10) for n in range(1, 15))]
+
+    def content() -> str:
+        said = to_json(app.state, app._keeper.disk)
+        return json.dumps([said["work"], said["spots"], said["rooms"].get("Bundle"), said["rooms"].get("Mosaic"),
+                           said["rooms"].get("Matching")])
+
+    act(app, v, Choose("gsd", 0.0), SetBundle("datum", "control"), Tune("threshold", 0.6))  # each tab has its own value
+    depth, before = len(app.state.past), content()
+    act(app, v, *edits)
+    count, after = len(app.state.past) - depth, content()
+    assert count == len(edits) - 1 > 100  # to aim is no edit
+    for _ in range(count):
         v.hotkey("Control+z")
-    v.wait_until(lambda: app.state.work.off == {names[0]}, "eleven edits taken back")
-    v.hotkey("Control+z")
-    v.wait_until(lambda: not app.state.work.off and app.state.work.block is before, "all taken back")
-    for _ in range(6):
+    until(app, v, lambda: len(app.state.past) == depth, "all taken back")
+    assert content() == before and len(app.state.future) == count
+    for _ in range(count):
         v.hotkey("Control+y")
-    v.wait_until(lambda: app.state.work.off == set(names), "six brought back")
-    for _ in range(6):
-        v.hotkey("Control+z")
-    v.wait_until(lambda: not app.state.work.off, "all taken back")
+    until(app, v, lambda: len(app.state.past) == depth + count, "all brought back")
+    assert content() == after
+    act(app, v, *[Undo()] * count)
+    assert content() == before
 
 
 def test_leaving_and_coming_back_loses_nothing(session: Session) -> None:
@@ -236,6 +274,49 @@ def another_page(v: ViserPage, port: int) -> Iterator[ViserPage]:
         v.page.bring_to_front()
 
 
+CHOSEN = (ChoosePoint("G04"), EditPoint("G05", "sZ", "0.02"), Clicking("monoplot"), Plot(500.0, 600.0), Speed(7.5), KeepRun(),
+          ChooseFigure(ELEMENTS), Opacity(0.3), SortBy("points", "Z"), ShowRows("G"), ZoomPhoto(6.0, 0.3, 0.4),
+          Pair("left", "DSC00230"), LookAt("left", 2500.0, 1200.0, 900.0), Tune("threshold", 0.7), SetBundle("colour", "none"),
+          SetBundle("datum", "both"), Choose("kind", "uncontrolled"), Look("click", "measure"), Exaggerate(50.0),
+          DrawEllipsoids(False))
+"""Of every tab something that is kept over a restart."""
+
+
+def test_another_version_of_viser_shows_plain_tables_and_is_worked_by_ordinary_controls(
+    session: Session, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """None of viser's private parts is touched then: no wire, no guard of values, no palette of controls."""
+    folder = tmp_path_factory.mktemp("plain") / "demo"
+    shutil.copytree(DEMO, folder, ignore=shutil.ignore_patterns("runs"))
+    monkeypatch.setattr("viewer_app.bridge.KNOWN", "0.9.")
+    with App(folder) as app:
+        assert not app._wire.works
+        for name in HEAVY:
+            app.emit(Show(name, False))
+        with another_page(session[1], app.port) as v:
+            v.wait_until(app.settled, "the viewer to settle", 200)
+            table = v.page.get_by_role("table", name="Ground control points")
+            table.wait_for()
+            v.wait_nodes(camera_path(app))
+            name = app.state.control()[0]
+            row = table.locator(f"tr[data-point='{name}']")
+            row.click()  # means nothing here
+            assert table.locator("[onclick]").count() == 0
+            v.open_tab("Points")
+            points = v.page.get_by_role("table", name="Points", exact=True)
+            points.wait_for()
+            assert points.locator("input").count() == 0 and f"{app.state.block.points.xyz[0, 0]:.3f}" in points.inner_text()
+            v.open_tab("Orientation")
+            assert not app.state.work.off
+            v.choose("Point", name)
+            v.wait_until(lambda: app.state.point == name, "the point")
+            v.click_button("Switch point on or off")
+            v.wait_until(lambda: app.state.work.off == {name} and app.settled(), "the point to be off, and the solution")
+            v.wait_until(lambda: row.inner_text().startswith("☐") and has_pose(app, v, camera_path(app)), "the page to follow")
+            v.hotkey("Home")
+            v.wait_until(lambda: app.state.row == 0 and has_pose(app, v, camera_path(app)), "row 0")
+
+
 def test_a_restart_reconnects_and_restores_the_state(session: Session, tmp_path_factory: pytest.TempPathFactory) -> None:
     folder = tmp_path_factory.mktemp("restart") / "demo"
     shutil.copytree(DEMO, folder, ignore=shutil.ignore_patterns("runs"))
@@ -246,8 +327,8 @@ def test_a_restart_reconnects_and_restores_the_state(session: Session, tmp_path_
         with another_page(session[1], first.port) as v:
             settle(first, v)
             point = first.state.control()[1]
-            act(first, v, SwitchPoint(point), Show("rays", False), Show("vectors", 321.0), FreeParameter("c"))
-            act(first, v, Step("first"))
+            act(first, v, SwitchPoint(point), Show("rays", False), Show("vectors", 321.0), *CHOSEN)
+            act(first, v, FreeParameter("c"), Step("first"))
             v.open_tab("Compare")
             v.open_tab("Scene")
             until(first, v, lambda: first.state.room(Desktop).below == "Scene", "the tabs")
@@ -259,6 +340,7 @@ def test_a_restart_reconnects_and_restores_the_state(session: Session, tmp_path_
                 lambda: len(first._view) == 6 and np.allclose(first._view[:3], position, atol=1e-3), "the way to another view"
             )
             before, looked = first.state, first._view
+            said = to_json(first._left_as(), first._keeper.disk)
             first.close()
             with App(folder, port=first.port) as second:
                 assert second.port == first.port
@@ -266,7 +348,10 @@ def test_a_restart_reconnects_and_restores_the_state(session: Session, tmp_path_
                 settle(second, v)
                 now = second.state
                 assert now.work.off == before.work.off == {point} and now.view == before.view
-                assert len(now.past) == len(before.past) == 2
+                assert len(now.past) == len(before.past) == 7
+                assert to_json(second._left_as(), second._keeper.disk) == said and len(said["rooms"]) >= 9
+                second_run = kept_of(now)["perspective"]
+                assert (second_run.rows[-1].x == kept_of(before)["perspective"].rows[-1].x).all()
                 assert now.row == 0 and now.image == before.image and now.view.vectors == 321
                 assert now.room(Bundle).free == ("c",)
                 assert second._view == looked and np.allclose(second.server.initial_camera.position, position, atol=1e-3)

@@ -11,7 +11,7 @@ from playwright.sync_api import Locator
 from tests.browser import ViserPage
 from tests.viewer.sessions import Session, act, demo_session, settle, until
 from viewer_app.actions import ChooseImage, ChoosePoint, SwitchPoint, Undo
-from viewer_app.lists import rows_of
+from viewer_app.lists import SortBy, rows_of
 from viewer_app.scene import sight
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(200)]
@@ -81,6 +81,13 @@ def test_a_standard_error_typed_solves_again(session: Session) -> None:
     assert old and new and old.orientation and new.orientation
     assert not np.allclose(new.orientation.covariance, old.orientation.covariance, rtol=1e-6)
     v.wait_until(lambda: focused(v) == f"points/sZ/{name}", "the focus to stay")
+    before = app.state.past[-1].block.points.sigma[j, 2]
+    v.hotkey("Control+z")
+    v.wait_until(lambda: np.array_equal(app.state.block.points.sigma[j, 2], before, equal_nan=True), "undo")
+    v.wait_until(lambda: box.input_value() == ("" if np.isnan(before) else f"{before:.6g}"), "the box as it was")
+    assert app.state.solution("perspective") is old  # brought back, not solved anew
+    v.hotkey("Control+y")
+    v.wait_until(lambda: app.state.block.points.sigma[j, 2] == 0.5 and box.input_value() == "0.5", "redo")
 
 
 def test_nonsense_typed_is_a_sentence(session: Session) -> None:
@@ -232,6 +239,21 @@ def test_every_orientation_stands_with_its_standard_errors(session: Session) -> 
     solution = app.state.solution("perspective")
     assert solution and solution.orientation and words.count("±") == 6 * len(app.state.block.images)
     assert f"{solution.orientation.exterior.centre[0]:.1f}" in words
+    orientations = table(v, "Images", "All orientations")
+    first = shown_names(v, "All orientations")
+    orientations.locator("th", has_text="Z").get_by_role("button").press("Enter")
+    v.wait_until(lambda: orientations.locator("th[aria-sort=ascending]").count() == 1, "sorted")
+    settle(app, v)
+    heights = {n: e.centre[2] for n in first if (e := app.state.exterior("perspective", n))}
+    assert shown_names(v, "All orientations") == sorted(first, key=lambda n: heights[n])
+    chosen, other = app.state.image, first[-1]
+    v.page.locator(f"[data-focus='orientations/name/{other}']").press("Enter")
+    until(app, v, lambda: app.state.image == other, "the image")
+    exterior, seen = app.state.exterior("perspective"), next(iter(app.server.get_clients().values())).camera
+    assert exterior is not None
+    far = np.linalg.norm(exterior.centre - app.state.assets.frame.to_local(app.state.block.points.xyz).mean(axis=0))
+    v.wait_until(lambda: np.linalg.norm(np.array(seen.look_at) - exterior.centre) < 0.3 * far, "the flight")
+    act(app, v, ChooseImage(chosen), SortBy("orientations", "Z"), SortBy("orientations", "Z"))
 
 
 def test_a_table_is_downloaded_as_csv(session: Session) -> None:

@@ -131,3 +131,30 @@ def test_rows_arrive_while_an_adjustment_runs_and_the_scene_follows(
     settle(app, v)
     solution = app.state.solution("perspective")
     assert solution and solution.done and len(solution.rows) > 3
+
+
+def test_stop_keeps_the_last_row_and_what_came_is_stepped(
+    session: Session, solver: Callable[[Any], None], tmp_path: Path
+) -> None:
+    app, v = session
+    gate = tmp_path / "rows"
+    gate.write_text("3")
+    solver(partial(patient, gate))
+    app.emit(SwitchPoint(app.state.control()[1]))
+
+    def rows() -> int:
+        solution = app.state.solution("perspective")
+        return 0 if solution is None or solution.done or solution.revision != app.state.work.revision else len(solution.rows)
+
+    v.wait_until(lambda: rows() == 3, "three rows")
+    v.hotkey("Escape")
+    v.wait_until(lambda: app.state.held is not None, "the key")
+    settle(app, v)
+    assert rows() == 3 and app.state.row == app.state.last_row
+    v.wait_until(lambda: has_pose(app, v, camera_path(app)), "the scene in the last row")
+    v.page.get_by_text("Cancelled").first.wait_for()
+    v.hotkey("Home")
+    v.wait_until(lambda: app.state.row == 0 and has_pose(app, v, camera_path(app)), "row 0")
+    v.hotkey("End")
+    v.wait_until(lambda: app.state.row == app.state.last_row and has_pose(app, v, camera_path(app)), "the last row")
+    assert rows() == 3

@@ -10,9 +10,10 @@ import pytest
 from solvers import BadProject
 from solvers.cli import main
 from solvers.workflows_monitoring import read_comparison
-from tests.viewer.sessions import act, viewed
+from tests.viewer.sessions import until, viewed
 from viewer_app import theme
 from viewer_app.acting import update
+from viewer_app.app import App
 from viewer_app.epochs import DrawEllipsoids, Epochs, Exaggerate, GoToEpoch, ShowComparison, exaggeration, reopened, scene
 from viewer_app.loading import open_project
 from viewer_app.panels.epochs import displacements
@@ -112,7 +113,19 @@ def test_the_page_shows_epochs(wall: Path) -> None:
         v.click_button("Show the latest comparison")
         v.wait_nodes("/epochs/vectors/moved", "/epochs/ellipsoids/18")
         v.page.get_by_text("4 of 40 points moved").wait_for()
-        act(app, v, GoToEpoch(0))
-        assert app.state.room(Epochs).epoch == 0
+        assert v.page.get_by_role("table", name="Displacements").locator("tbody tr").count() == 40
+        v.choose("Exaggeration [times]", "100")
+        v.set_checkbox("Ellipsoids (95 %)", False)
+        until(app, v, lambda: not app.state.room(Epochs).ellipsoids, "the box")
+        v.page.get_by_text("drawn 100 times").wait_for()
+        nodes = "() => Object.keys(window.__viserSceneTree.getState()).filter(n => n.startsWith('/epochs/ellipsoids/')).length"
+        v.wait_until(lambda: v.page.evaluate(nodes) == 0, "no ellipsoids")
+        v.nudge_slider("Epoch", "Home")
+        until(app, v, lambda: app.state.room(Epochs).epoch == 0, "the slider")
         v.page.get_by_text("the first epoch, 40 points").wait_for()
+        v.nudge_slider("Epoch", "ArrowRight")
+        until(app, v, lambda: app.state.room(Epochs).epoch == 1, "the slider")
         assert v.log.errors == [] and v.log.external == []
+    with App(wall / "epoch3") as again:  # and everything is found as it was left
+        room = again.state.room(Epochs)
+        assert room.compared is not None and (room.epoch, room.exaggeration, room.ellipsoids) == (1, 100.0, False)

@@ -131,6 +131,11 @@ def test_a_click_is_matched_shown_stepped_accepted_and_undone(session: Session) 
     v.hotkey("Control+z")
     v.wait_until(lambda: len(app.state.block.observations) == 0, "undo")
     v.page.locator("#collinea-left [data-point=m1]").wait_for(state="detached")
+    v.hotkey("Control+y")
+    v.wait_until(lambda: len(app.state.block.observations) == 2, "redo")
+    v.page.locator("#collinea-left [data-point=m1]").wait_for()
+    v.hotkey("Control+z")
+    v.wait_until(lambda: len(app.state.block.observations) == 0, "undo")
 
 
 def test_a_point_proposes_itself_in_all_photos(session: Session) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,9 +13,10 @@ import pytest
 from tests.browser import ViserPage
 from tests.viewer.sessions import DEMO, HEAVY, Session, act, downloaded, settle, until, viewed
 from viewer_app.app import App
-from viewer_app.mosaic_actions import ForgetPlaces, Look
+from viewer_app.mosaic_actions import Choose, ForgetPlaces, Look
 from viewer_app.mosaic_place import to_scene
 from viewer_app.mosaic_state import Mosaic
+from viewer_app.panels.mosaic import working
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]
 
@@ -25,9 +27,39 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
     shutil.copytree(DEMO, folder, ignore=shutil.ignore_patterns("runs"))
     with viewed(folder, hidden=(*HEAVY, "rays", "bundle", "perspective", "orthogonal")) as (app, v):
         v.open_tab("Mosaic")
+        v.page.evaluate(LISTEN)
         v.click_button("Make both, to compare")
         until(app, v, lambda: len(room(app).made) == 2, "both mosaics", 250)
         yield app, v
+
+
+LISTEN = """() => { window.told = []; const look = () => {
+    const panel = document.body.innerText, cancel = [...document.querySelectorAll('button')].some(
+        b => b.innerText === 'Cancel mosaic work' && b.offsetParent);
+    for (const words of panel.match(/(Registering|Preparing|Tiles: )[^\\n]*/g) ?? []) window.told.push([words, cancel]); };
+    new MutationObserver(look).observe(document.body, {subtree: true, childList: true, characterData: true}); }"""
+"""Notes what the page says of the work, and whether it could be cancelled then."""
+
+
+def test_the_work_says_what_it_does_how_long_still_and_can_be_cancelled(session: Session) -> None:
+    app, v = session
+    told = v.page.evaluate("() => window.told")
+    said = [words for words, _ in told]
+    assert any(words.startswith("Registering 5 photos, simultaneous") for words in said)
+    assert any("sequential" in words for words in said)
+    assert any(re.fullmatch(r"Tiles: \d+ of \d+, about \d+ s left", words) for words in said), set(said)
+    assert all(cancel for _, cancel in told)
+    made = dict(room(app).made)
+    act(app, v, Choose("blend", "none"))
+    v.click_button("Make mosaic")
+    v.page.get_by_role("button", name="Cancel mosaic work", exact=True).click()
+    until(app, v, lambda: room(app).message == "Cancelled." and not working(app.state), "the end of the work")
+    v.page.get_by_text("Cancelled.").first.wait_for()
+    assert room(app).made["sequential"] is made["sequential"]
+    v.hotkey("Control+z")  # the choice
+    v.wait_until(lambda: room(app).ask.blend != "none", "undo")
+    v.click_button("Make mosaic")
+    until(app, v, lambda: "simultaneous" in room(app).wanted and room(app).made["simultaneous"].done, "the mosaic", 250)
 
 
 def room(app: App) -> Mosaic:
@@ -62,11 +94,26 @@ def opaque(v: ViserPage, node: str) -> float:
             return most / 255; }""", node)
 
 
+PLACE = """n => { const root = window.__viserMutable.nodeRefFromName[''].matrixWorld.clone().invert(), at = [];
+    window.__viserMutable.nodeRefFromName[n].traverse(o => { const p = o.geometry?.attributes?.position; if (!p) return;
+        o.updateWorldMatrix(true, false);
+        for (let i = 0; i < p.count; i++) {
+            const v = o.position.clone().fromBufferAttribute(p, i).applyMatrix4(o.matrixWorld).applyMatrix4(root);
+            at.push([v.x, v.y, v.z]); } });
+    return at; }"""
+"""Vertices of a node in the scene's coordinates, metres."""
+
+
 def test_the_mosaic_is_as_opaque_as_asked(session: Session) -> None:
     app, v = session
     act(app, v, Look("shown", "simultaneous"))
     node = f"/mosaic/simultaneous/tiles/{next(iter(room(app).made['simultaneous'].tiles))}"
     v.wait_until(lambda: opaque(v, node) > 0.99, "the picture")
+    made = room(app).made["simultaneous"]
+    tile = made.tiles[next(iter(made.tiles))]
+    corners = to_scene(app.state, made, tile.corners)
+    drawn = np.array(v.page.evaluate(PLACE, node))  # at the true height
+    assert np.allclose(drawn.min(axis=0), corners.min(axis=0), atol=0.05) and np.ptp(drawn[:, 2]) < 0.05
     v.set_slider("Mosaic opacity [share]", 0.4)
     until(app, v, lambda: room(app).opacity == 0.4, "the slider")
     v.wait_until(lambda: abs(opaque(v, node) - 0.4) < 0.01, "a paler picture")
@@ -103,6 +150,12 @@ def test_a_click_measures_and_another_finds_a_conjugate_point(session: Session) 
     assert np.linalg.norm(np.array(room(app).places[0]) - want) < 2.0  # metres; a screen pixel is about half of one
     v.page.get_by_role("table", name="Places measured").wait_for()
     v.wait_nodes("/mosaic/measured/lines")
+    v.hotkey("Control+z")
+    v.wait_until(lambda: not room(app).places, "undo")
+    v.page.get_by_role("table", name="Places measured").wait_for(state="detached")
+    v.hotkey("Control+y")
+    v.wait_until(lambda: len(room(app).places) == 1, "redo")
+    v.page.get_by_role("table", name="Places measured").wait_for()
     act(app, v, ForgetPlaces(), Look("click", "conjugate point"))
     before = len(app.state.block.observations)
     v.click_world(place)

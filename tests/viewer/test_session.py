@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,20 +33,24 @@ from viewer_app.actions_points import EditPoint, SwitchRole
 from viewer_app.bundle_actions import FreeParameter, RunBundle, SetBundle
 from viewer_app.bundle_state import Bundle
 from viewer_app.bundle_tasks import tasks as bundle_tasks
+from viewer_app.desktop import Desktop
+from viewer_app.epochs import Epochs
 from viewer_app.figures import ELEMENTS, ChooseFigure, Figure
 from viewer_app.keeping import NAME, Keeper, resume
-from viewer_app.kept_run import KeepRun, kept_of
+from viewer_app.kept_run import KeepRun, KeptRun, kept_of
 from viewer_app.lists import SortBy, Tables
 from viewer_app.loading import open_project
 from viewer_app.looking import Looking, Opacity
-from viewer_app.matching_actions import LookAt, Pair, Tune
-from viewer_app.matching_state import Matching
+from viewer_app.matching_actions import Click, LookAt, Pair, Propose, Tune
+from viewer_app.matching_state import Found, Matching
+from viewer_app.matching_state import Look as Look2
 from viewer_app.mosaic_actions import Choose, Look, MakeMosaic
-from viewer_app.mosaic_state import METHODS, Mosaic
+from viewer_app.mosaic_state import METHODS, Ask, Mosaic
 from viewer_app.mosaic_tasks import tasks as mosaic_tasks
 from viewer_app.panels.figures import elements_html
-from viewer_app.photo_view import ZoomPhoto, window
+from viewer_app.photo_view import PhotoView, ZoomPhoto, window
 from viewer_app.session import fingerprint, from_json, to_json
+from viewer_app.session_rooms import KEPT_ROOMS
 from viewer_app.state import State, Work
 
 EDITS = (
@@ -186,6 +190,67 @@ def test_what_the_tabs_show_comes_back_and_what_they_made_is_asked_for_again(fol
     run = update(state, RunBundle())
     again = from_json(fresh, json.loads(json.dumps(to_json(run, fresh.block))))
     assert len(bundle_tasks(again)) == 1 and again.room(Bundle).asked == run.room(Bundle).asked
+
+
+MADE_AGAIN = {
+    KeptRun: {"solutions"},  # compared row by row below
+    Matching: {"serial", "asked", "found", "shown", "row", "task", "progress", "network", "read", "message"},
+    Bundle: {"held", "task", "serial", "base", "rows", "layout", "block", "asked", "result", "progress", "error", "run", "opened",
+             "then_open"},
+    Mosaic: {"made", "layer", "busy", "progress", "message", "written"},
+    Epochs: {"compared", "said"},
+    Looking: {"image"},  # nobody begins inside a photo
+    PhotoView: {"ready"},
+}
+"""Fields of the tabs' own values that a session does not hold: what work makes, and what was said last."""
+KEPT_OTHERWISE = {"follow", "work", "past", "future", "rooms"}
+NOT_KEPT = {"assets", "playing", "held", "message", "next_revision", "saved"}
+
+
+def test_every_field_of_the_state_is_kept_or_said_to_be_made_again(folder: Path) -> None:
+    """A field that somebody adds and forgets to keep fails here; each that is kept differs from its default and comes back."""
+    fresh = opened(folder)
+    assert {f.name for f in fields(State)} - NOT_KEPT - KEPT_OTHERWISE <= set(to_json(fresh, fresh.block))
+    chosen: dict[type, Any] = {
+        Tables: Tables({"points": ("Z", True)}, "G0"),
+        PhotoView: PhotoView(fresh.image, 120.0, 80.0, 900.0, 512.0),
+        Looking: Looking("", 0.3),
+        Desktop: Desktop("Compare", "Scene", (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)),
+        Figure: Figure(ELEMENTS),
+        KeptRun: KeptRun(fresh.image, {"perspective": solve_all(fresh).work.solutions[fresh.image, "perspective"]}),
+        Matching: Matching("DSC00231", "DSC00230", {"left": Look2(10.0, 20.0, 300.0)}, "G02", (30.0, 40.0), (50.0, 60.0), 31, 8,
+                           0.8, colour="residual"),
+        Bundle: Bundle("orthogonal", "frozen", "both", ("c", "k1"), "danish", "dlt", ("c",), "DSC*", "auto", colour="none",
+                       vectors=20.0, ellipsoid=50.0, draw_points=False, draw_vectors=False, draw_ellipsoids=False,
+                       draw_rays=False, alone=False),
+        Mosaic: Mosaic(Ask("sequential", "uncontrolled", "plane", "fitted plane", 0.25, "none", True, True),
+                       {"sequential": Ask("sequential")}, {}, "sequential", 0.2, 0.4, 3, False, False, False, False, 20.0,
+                       "measure", ((1.0, 2.0),), None, "maps/a.tif", False, conjugate=("DSC00231", 3.0, 4.0)),
+        Epochs: Epochs(None, 0, 50.0, False),
+    }
+    state = replace(fresh, rooms=chosen)
+    back = from_json(fresh, json.loads(json.dumps(to_json(state, fresh.block), allow_nan=False)))
+    assert set(chosen) == {kind for kind, *_ in KEPT_ROOMS.values()}
+    for kind, value in chosen.items():
+        for field in fields(kind):
+            if field.name in MADE_AGAIN.get(kind, ()) or (kind, field.name) == (Epochs, "epoch"):
+                continue
+            said = getattr(value, field.name)
+            assert said != getattr(kind(), field.name), f"{kind.__name__}.{field.name} is at its default here"
+            assert getattr(back.room(kind), field.name) == said, f"{kind.__name__}.{field.name}"
+    assert back.room(Mosaic).busy == ("layer|maps/a.tif",) and not back.room(Matching).asked
+
+
+def test_a_match_in_view_and_tie_points_placed_are_asked_for_again(folder: Path) -> None:
+    fresh = opened(folder)
+    state = update(update(update(fresh, Pair("left", "DSC00231")), LookAt("left", 2500.0, 1200.0, 900.0)), Tune("window", 31))
+    state = update(update(state, Click("left", 2510.0, 1210.0)), Propose())
+    asked = state.room(Matching).asked
+    state = state.with_room(replace(state.room(Matching), asked=asked[:1], found=tuple(Found(a, error="-") for a in asked[1:])))
+    state = state.with_room(replace(state.room(Matching), task="adjust"))
+    back = from_json(fresh, json.loads(json.dumps(to_json(state, fresh.block)))).room(Matching)
+    assert len(asked) > 2 and back.at == (2510.0, 1210.0) and back.task == "adjust"
+    assert {replace(a, serial=0) for a in back.asked} == {replace(a, serial=0) for a in asked}
 
 
 def test_the_run_kept_beside_and_the_figure_come_back(folder: Path) -> None:

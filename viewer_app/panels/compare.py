@@ -85,7 +85,8 @@ def solutions_table(state: State) -> str:
             at, sigma = values[m] or (np.full(6, np.nan), None)
             places = min(decimals(_final_sigma(state, m)[i], 5), 5 if sigma is not None else 2 if i < 3 else 3)
             error = "&nbsp;" if sigma is None else f"±{sigma[i]:.{places}f}"
-            cells.append(f"{at[i]:.{places}f}<br><span {MUTED}>{error}</span>")
+            own, first = f"{at[i]:.{places}f}<br><span {MUTED}>{error}</span>", values.get("perspective")
+            cells.append(own if first is None else f"{own}<br>{_from_first(m, at[i], first[0][i], places, i >= 3)}")
         rows.append(("", cells))
     rms = []
     for m in models:
@@ -93,7 +94,16 @@ def solutions_table(state: State) -> str:
         v = seen.residuals[seen.used] if seen is not None else np.zeros((0, 2))
         rms.append(f"{np.sqrt((v**2).sum(axis=1).mean()):.2f}" if len(v) else "–")
     rows.append(("", (f"rms <span {MUTED}>px</span>", *rms)))
-    return table(("", *(f"{swatch(COLOURS[m])}<br>{esc(m)}" for m in models)), rows, "Solutions compared", size=10)
+    shown = table(("", *(f"{swatch(COLOURS[m])}<br>{esc(m)}" for m in models)), rows, "Solutions compared", size=10)
+    return f"{shown}<div {MUTED}>Δ: difference from the perspective solution, at the row shown</div>"
+
+
+def _from_first(model: str, value: float, first: float, places: int, angle: bool) -> str:
+    """How much an element differs from that of the perspective solution, which is `first`."""
+    if model == "perspective":
+        return "&nbsp;"
+    difference = value - first
+    return f"Δ {(difference + 180) % 360 - 180 if angle else difference:+.{places}f}"
 
 
 def _none_yet(state: State) -> str:

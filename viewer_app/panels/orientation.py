@@ -7,6 +7,7 @@ from typing import Any
 import viser
 
 from ..actions import Action, Cancel, ChooseImage, ChoosePoint, Redo, Set, Solve, SwitchPoint, Undo, UsePoints
+from ..actions_points import SwitchRole
 from ..flying import Fly
 from ..looking import looked_through
 from ..state import FORMS, PRIORS, State
@@ -55,6 +56,11 @@ class OrientationPanel:
             "Switch point on or off", hint="Take the chosen point into the solution or out of it; it is solved at once."
         )
         self._switch.on_click(self._switched)
+        self._role = gui.add_button(
+            "Make point control or check",
+            hint="Control points hold the solution, check points only judge it; it is solved at once. Key: R.",
+        )
+        self._role.on_click(lambda _: emit(SwitchRole(self._point.value)) if self._point.value != "none" else None)
         self._seen = Html(gui)
         self._settings(gui, emit)
 
@@ -98,7 +104,8 @@ class OrientationPanel:
         prop(self._group, "options", options)
         put(self._group, chosen_group(state))
         put(self._point, state.point or "none")
-        prop(self._switch, "disabled", state.point is None)
+        for handle in (self._switch, self._role):
+            prop(handle, "disabled", state.point is None)
         for name, handle in self._controls().items():
             put(handle, getattr(state.work.settings, name))
         self._table.set(orientation_table(state))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ..bridge import Wire
@@ -90,15 +92,19 @@ def _number(value: float | None) -> str:
     return "–" if value is None or not np.isfinite(value) else f"{value:.3f}"
 
 
-def status(state: State) -> str:
-    """One line over all tabs: what is going on and what was said last; else what is open."""
+def status(state: State, left: Callable[[int], float | None] = lambda todo: None) -> str:
+    """One line over all tabs: what is going on and what was said last; else what is open. left: seconds that so many images
+    take, as far as known."""
     todo = {(j.image, j.model) for j in wanted(state)}
     busy = [m for m in (*MODELS, ADVICE) if (state.image, m) in todo]
     lines = []
     if busy:
         lines.append(f"<div>Solving {esc(state.image)}: {' and '.join(busy)} …</div>")
     elif todo:
-        lines.append(f"<div {MUTED}>Solving the other images: {_waiting(state)} to do …</div>")
+        count = waiting(state)
+        seconds = left(count)
+        long = "" if seconds is None else f", about {seconds:.0f} s left"
+        lines.append(f"<div {MUTED}>Solving the other images: {count} to do{long} …</div>")
     if state.message:
         lines.append(f"<div>{esc(state.message)}</div>")
     still = f"<div {MUTED}>{esc(' · '.join(filter(None, (state.block.name, state.image, state.point))))}</div>"
@@ -135,7 +141,7 @@ def words(state: State) -> str:
     return f'<div {BOX}><div role="status" aria-label="Messages">{"".join(lines)}</div></div>'
 
 
-def _waiting(state: State) -> int:
+def waiting(state: State) -> int:
     """Images that are not solved as things are now."""
     counts = measured(state.block)
     return sum(1 for image, n in counts.items() if n and not all(fresh(state.work, image, m) for m in MODELS))
