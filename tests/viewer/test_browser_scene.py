@@ -11,10 +11,21 @@ import pytest
 from PIL import Image
 
 from tests.browser import ViserPage
-from tests.viewer.sessions import HEAVY, Session, act, camera_path, demo_session, downloaded, expected_pixels, settle
+from tests.viewer.sessions import (
+    HEAVY,
+    Session,
+    act,
+    camera_arrived,
+    camera_path,
+    demo_session,
+    downloaded,
+    expected_pixels,
+    settle,
+)
 from viewer_app import theme
 from viewer_app.actions import Show
 from viewer_app.app import App
+from viewer_app.ground import symbol_size
 from viewer_app.scene import scene
 from viewer_app.values import Segments
 
@@ -68,6 +79,31 @@ def test_points_appear_where_projection_says_and_in_their_colour(points_only: Se
         and np.linalg.matrix_rank(expected_pixels(app, v) - expected_pixels(app, v).mean(axis=0), tol=5.0) == 2
     )
     assert distances.max() < 3.0 and colours.max() <= 2.0
+
+
+def test_the_size_of_a_point_follows_its_distance(points_only: Session) -> None:
+    app, v = points_only
+    camera = next(iter(app.server.get_clients().values())).camera
+    before = np.array(camera.position), np.array(camera.look_at)
+    points = app.state.block.points
+    xyz = app.state.assets.frame.to_local(points.xyz)
+    apart = np.linalg.norm(xyz[:, None] - xyz[None], axis=-1) + np.diag(np.full(len(xyz), np.inf))
+    k = max((j for j, r in enumerate(points.role) if r == "control"), key=lambda j: apart[j].min())  # the loneliest
+    order = [j for j, r in enumerate(points.role) if r == "control"].index(k)
+    way, sizes = (before[0] - before[1]) / np.linalg.norm(before[0] - before[1]), []
+    for wanted in (48, 24):  # px
+        distance = symbol_size(app.state) * camera.image_height / 2 / np.tan(camera.fov / 2) / wanted
+        camera.position, camera.look_at = xyz[k] + distance * way, xyz[k]
+        v.wait_until(lambda: np.allclose(camera.look_at, xyz[k]) and camera_arrived(app, v), "the camera")
+        picture = np.asarray(v.wait_still(tolerance=0.05, timeout=120), float)
+        at = expected_pixels(app, v)[order]
+        rows, cols = np.mgrid[: picture.shape[0], : picture.shape[1]]
+        off = np.hypot(cols + 0.5 - at[0], rows + 0.5 - at[1])
+        error = np.abs(picture[..., :3] - np.array(theme.CONTROL)).max(axis=-1)
+        sizes.append(off[(off < 1.6 * wanted) & (picture[..., 3] > 250) & (error < 40)].max())
+    camera.position, camera.look_at = before
+    v.wait_until(lambda: np.allclose(camera.look_at, before[1]) and camera_arrived(app, v), "the camera")
+    assert 40 < sizes[0] < 60 and 20 < sizes[1] < 32
 
 
 def test_that_measurement_fails_when_the_y_axis_is_flipped(points_only: Session) -> None:

@@ -30,6 +30,7 @@ from tests.synthetic import REAL_CAMERA, block_of, prior_of, scene
 from viewer_app import rerun_server, theme
 from viewer_app.paint_rerun import record
 from viewer_app.replay import Replay
+from viewer_app.rerun_layout import blueprint
 from viewer_app.rerun_server import Served, growing, serve
 
 ORIGIN = np.array([412000.0, 5400000.0, 250.0])
@@ -240,6 +241,25 @@ def test_log_says_every_row_and_why_it_stopped(site: Site, recorded: Recorded) -
 def test_about_tells_the_origin(site: Site, recorded: Recorded) -> None:
     text = recorded.one("/about", "TextDocument:text")[0]
     assert all(f"{v:.10g}" in text for v in site.frame.origin)
+
+
+def test_it_opens_with_space_photo_curves_normal_matrices_and_log(site: Site) -> None:
+    import rerun.blueprint as rrb
+
+    replays = [Replay.of(o.trace, site.block, site.frame) for o in site.orientations]
+    made = blueprint(replays, site.frame.to_local(site.block.points.xyz))
+
+    def views(part: Any) -> Iterator[Any]:
+        for inner in part.contents:
+            yield from views(inner) if isinstance(inner, rrb.Container) else [inner]
+
+    found = list(views(made.root_container))
+    kinds = [type(v).__name__.removesuffix("View") for v in found]
+    assert kinds.count("Spatial3D") == kinds.count("Spatial2D") == kinds.count("TextLog") == 1
+    assert kinds.count("Tensor") == len(MODELS) and kinds.count("TimeSeries") == 3
+    assert next(v for v in found if type(v).__name__ == "Spatial2DView").origin == f"/images/{PART}/photo"
+    shown = [p for v in found if type(v).__name__ == "TimeSeriesView" for p in v.contents]
+    assert {f"/plots/{PART}/{m}/{what}" for m in MODELS for what in ("log10", "position", "attitude")} == set(shown)
 
 
 def test_same_run_same_recording(site: Site, path: Path, recorded: Recorded, tmp_path: Path) -> None:
