@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import re
+import time
 from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.viewer.sessions import Session, demo_session, until
+from viewer_app import bundle_tasks
 from viewer_app.app import App
 from viewer_app.bundle_state import Bundle
+from viewer_app.bundle_work import bundle_work
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]
 
@@ -40,6 +47,8 @@ def test_a_bundle_is_run_drawn_and_stepped(session: Session) -> None:
     assert not [n for n in tree if n.startswith("/images/DSC") and n.endswith("camera")]  # drawn in place of those
     for name in ("Bundle images", "Bundle points", "Variance components"):
         assert v.page.get_by_role("table", name=name).count() == 1
+    v.page.get_by_text("ellipsoids: 95 % (factor 2.796, χ² with 3 degrees of freedom), a priori from the given").wait_for()
+    v.wait_nodes("/bundle/scale/vectors", "/bundle/scale/ellipsoids")
     heat = v.page.get_by_role("img", name="Correlations of the exterior orientation")
     heat.wait_for()
     rows = room(app).steps
@@ -50,6 +59,39 @@ def test_a_bundle_is_run_drawn_and_stepped(session: Session) -> None:
     v.hotkey("End")
     v.wait_until(lambda: app.state.row == rows, "the last row")
     heat.wait_for()
+
+
+def held_up(gate: Path, *arguments: Any) -> Iterator[Any]:
+    """The bundle's work, which after its first iteration waits for a file."""
+    for value in bundle_work(*arguments):
+        yield value
+        while isinstance(value, str) and "left" in value and not gate.exists():
+            time.sleep(0.05)
+            yield value
+
+
+def test_stop_keeps_the_last_row_and_one_goes_on_from_it(
+    session: Session, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    app, v = session
+    monkeypatch.setattr(bundle_tasks, "bundle_work", partial(held_up, tmp_path / "gate"))
+    v.click_button("Run bundle")
+    status = v.page.get_by_role("status", name="Bundle")
+    v.page.get_by_text(re.compile(r"Iteration 1, σ0 .* s each, at most \d+ s left")).wait_for(timeout=200_000)
+    assert room(app).steps == 1 and app.state.row == 1
+    v.click_button("Stop bundle")
+    until(app, v, lambda: not room(app).task, "the end of the work")
+    v.page.get_by_text("Stopped; row 1 is kept, without standard errors.").wait_for()
+    assert room(app).steps == 1 and room(app).result is None and status.count() <= 1
+    v.wait_nodes("/bundle/images", "/bundle/points")
+    v.hotkey("Home")
+    v.wait_until(lambda: app.state.row == 0, "row 0")
+    v.hotkey("End")
+    v.wait_until(lambda: app.state.row == 1, "the row kept")
+    monkeypatch.undo()
+    v.click_button("Continue bundle")
+    until(app, v, lambda: finished(app), "the bundle", 200)
+    assert room(app).error == "" and room(app).result is not None and room(app).base == 1 < room(app).steps
 
 
 def test_a_click_in_a_table_chooses_and_flies(session: Session) -> None:
