@@ -15,9 +15,10 @@ from matplotlib.patches import Polygon, Rectangle
 from solvers import Exterior, Interior
 from solvers.cameras import project
 from solvers.geometry import rotation
+from solvers.legend import INKS
 
 FOLDER = Path(__file__).parent / "figures"
-INK, BLUE, ORANGE, GREEN = "#333333", "#0072B2", "#D55E00", "#009E73"
+INK, BLUE, ORANGE, GREEN = "#333333", INKS["perspective"], INKS["residual"], INKS["georeferenced"]
 VIEW = np.array([[0.86, -0.5, 0.0], [0.2, 0.35, 0.92]])
 """(2, 3) oblique drawing of object coordinates: east to the right, north to the upper left, Z up."""
 

@@ -68,6 +68,7 @@ def add(commands: Any) -> None:
     study.add_argument("kind", metavar="KIND", choices=tuple(KINDS), help="; ".join(f"{k}: {v}" for k, v in KINDS.items()))
     study.add_argument("-o", "--output", required=True, metavar="FOLDER")
     study.add_argument("--runs", type=count, metavar="N", help="draws of every case (default: a few minutes' worth)")
+    study.add_argument("--figures", action="store_true", help="only draw the figures anew, from the tables in FOLDER")
 
     log = add_command(commands, "log", _log, "open the recording of a run in rerun's web viewer on 127.0.0.1")
     log.add_argument("project", metavar="PROJECT|RUN")
@@ -160,7 +161,7 @@ def _simulate(args: argparse.Namespace) -> int:
 
 
 def _study(args: argparse.Namespace) -> int:
-    from .studies import run
+    from .studies import redraw, run
 
     shown = sys.stderr.isatty()
 
@@ -168,7 +169,8 @@ def _study(args: argparse.Namespace) -> int:
         if not args.quiet:
             print(f"\r\033[K{line}" if shown else line, end="" if shown else "\n", file=sys.stderr, flush=True)
 
-    files = run(args.kind, Path(args.output), args.runs, progress)
+    folder = Path(args.output)
+    files = redraw(args.kind, folder) if args.figures else run(args.kind, folder, args.runs, progress)
     if shown:
         progress("")
     return emit(args, {"study": args.kind, "files": [str(f) for f in files]}, f"{files[-1]}: {len(files)} files written")

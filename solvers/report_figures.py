@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-COLOURS = {"perspective": "#0072B2", "orthogonal": "#DC9518", "georeferenced": "#009E73", "control": "#CC79A7",
-           "check": "#56B4E2", "residual": "#D35E08"}
-"""The legend of the viewer (`viewer_app.theme`); a test holds the two together."""
+from .legend import INKS
+
 MOST_ELLIPSES = 60
 """Points with names and ellipses; more would hide each other."""
 CONFIDENCE_2D = 2.4477
@@ -72,14 +71,14 @@ def plan(points: Sequence[Mapping[str, Any]], enlarged: float) -> str:
             continue
         xy = np.array([p["xy"] for p in of]) - origin
         off = np.array([p["off"][:2] for p in of]) * enlarged
-        ax.plot(*xy.T, mark, color=COLOURS[role], ms=4, label=f"{role} point", zorder=3)
-        ax.quiver(*xy.T, *off.T, color=COLOURS["residual"], angles="xy", scale_units="xy", scale=1, width=0.003, zorder=2)
+        ax.plot(*xy.T, mark, color=INKS[role], ms=4, label=f"{role} point", zorder=3)
+        ax.quiver(*xy.T, *off.T, color=INKS["residual"], angles="xy", scale_units="xy", scale=1, width=0.003, zorder=2)
         for p, at in zip(of, xy, strict=True):
             if few and p.get("covariance") is not None:
                 w, v = np.linalg.eigh(p["covariance"])
                 size = 2 * CONFIDENCE_2D * np.sqrt(np.maximum(w, 0)) * enlarged
                 ax.add_patch(Ellipse(at, size[1], size[0], angle=np.degrees(np.arctan2(v[1, 1], v[0, 1])), fill=False,
-                                     edgecolor=COLOURS[role], lw=0.9))
+                                     edgecolor=INKS[role], lw=0.9))
     ax.set_aspect("equal", adjustable="datalim")
     if few:
         _name_points(ax, [p["name"] for p in points], every - origin)
@@ -138,12 +137,12 @@ def standardized(w: np.ndarray, critical: float) -> str:
     """Histogram of standardized residuals beside the standard normal they should follow."""
     fig, ax = figure(4.6, 2.4)
     reach = max(4.5, min(8.0, float(np.abs(w).max(initial=0.0)) + 0.5))
-    ax.hist(np.clip(w, -reach, reach), bins=np.linspace(-reach, reach, 37), density=True, color=COLOURS["perspective"], alpha=0.4,
+    ax.hist(np.clip(w, -reach, reach), bins=np.linspace(-reach, reach, 37), density=True, color=INKS["perspective"], alpha=0.4,
             edgecolor="white")
     t = np.linspace(-reach, reach, 200)
     ax.plot(t, np.exp(-t**2 / 2) / np.sqrt(2 * np.pi), color="#333333", lw=1)
     for side in (-critical, critical):
-        ax.axvline(side, color=COLOURS["residual"], lw=0.8, ls="--")
+        ax.axvline(side, color=INKS["residual"], lw=0.8, ls="--")
     ax.set(xlabel="standardized residual w", ylabel="density")
     ax.tick_params(labelsize=7)
     return svg(fig)
@@ -153,7 +152,7 @@ def iterations(traces: Mapping[str, Sequence[Mapping[str, float]]]) -> str:
     """sigma0 and step by iteration, a line for each trace; blue perspective, orange orthogonal."""
     fig, axes = figure(7.2, 2.6, ncols=2)
     for name, rows in traces.items():
-        colour = COLOURS["orthogonal" if name.endswith("orthogonal") else "perspective"]
+        colour = INKS["orthogonal" if name.endswith("orthogonal") else "perspective"]
         index = [r["index"] for r in rows]
         for ax, key in zip(axes, ("sigma0", "step"), strict=True):
             values = np.array([r[key] for r in rows], float)

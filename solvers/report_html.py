@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 from typing import Any
 
+from .legend import INKS
 from .report_document import Document, Figure, Number, Table, Words
 
 PAGE = """<!doctype html>
@@ -21,9 +22,10 @@ solid #888 }
 th, td { padding: .15em .7em .15em 0; vertical-align: top } td.number, th.number { text-align: right; white-space: nowrap }
 tr.marked td { background: #fff3e6 } thead { display: table-header-group } tr, figure { break-inside: avoid }
 .how, figcaption { color: #666; font-size: 12px; margin: .2em 0 1em } figure { margin: 1em 0 } figure img { width: 100% }
-figure.narrow img { width: 62% } .warning { border-left: 3px solid #d35e08; padding: .2em .8em; margin: .4em 0; background:
-#fff8f2 }
-.statement { border-left: 3px solid #0072b2; padding: .3em .8em; margin: .6em 0 } .note { color: #555; font-size: 12.5px }
+figure.narrow img { width: 62% } .warning { border-left: 3px solid {{ inks.residual }}; padding: .2em .8em; margin: .4em 0;
+background: #fff8f2 }
+.statement { border-left: 3px solid {{ inks.perspective }}; padding: .3em .8em; margin: .6em 0 }
+.note { color: #555; font-size: 12.5px }
 .wide { overflow-x: auto } @page { size: A4; margin: 16mm } @media print { body { margin: 0; max-width: none; font-size: 10pt }
 table { font-size: 7.6pt } h2 { break-after: avoid } .wide { overflow: visible } }
 </style></head><body>
@@ -53,7 +55,7 @@ def html(document: Document) -> str:
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
-    environment.globals.update(kind=_kind, encoded=_encoded, number=lambda cell: isinstance(cell, Number),
+    environment.globals.update(kind=_kind, inks=INKS, encoded=_encoded, number=lambda cell: isinstance(cell, Number),
                                full=lambda n: repr(n.value))
     return environment.from_string(PAGE).render(document=document)
 

@@ -6,6 +6,7 @@ import json
 import tempfile
 from pathlib import Path
 
+from .legend import INKS
 from .report_document import Document, Figure, Part, Table, Words
 
 HEAD = """#set page(paper: "a4", margin: (x: 18mm, y: 18mm), numbering: "1 / 1", footer-descent: 6mm)
@@ -58,9 +59,9 @@ def _part(part: Part, file: str) -> str:
 def _words(words: Words) -> str:
     text = f"text({_string(words.text)})"
     if words.kind == "warning":
-        return f"#block(width: 100%, inset: (left: 8pt, y: 3pt), stroke: (left: 2pt + rgb(\"#D35E08\")), {text})"
+        return f"#block(width: 100%, inset: (left: 8pt, y: 3pt), stroke: (left: 2pt + rgb(\"{INKS['residual']}\")), {text})"
     if words.kind == "statement":
-        return f"#block(width: 100%, inset: (left: 8pt, y: 4pt), stroke: (left: 2pt + rgb(\"#0072B2\")), {text})"
+        return f"#block(width: 100%, inset: (left: 8pt, y: 4pt), stroke: (left: 2pt + rgb(\"{INKS['perspective']}\")), {text})"
     return f"#par(text(size: 9pt, {_string(words.text)}))" if words.kind == "note" else f"#par({text})"
 
 

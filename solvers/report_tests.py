@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from . import report_figures as figures
+from .legend import INKS
 from .report_document import Figure, Number, Part, Section, Source, Table, Words
 from .report_material import CRITICAL, MOST_ROWS, Material, left
 
@@ -94,7 +95,7 @@ def _on_format(m: Material, source: Source) -> list[Part]:
             pixels, v = (np.array(x) for x in zip(*pairs, strict=True))
             enlarged = figures.scale_of(np.hypot(*v.T), float(c.width))
             parts.append(Figure(figures.photo_residuals(pixels, v, (c.width, c.height), enlarged,
-                                                        figures.COLOURS["perspective"]),
+                                                        INKS["perspective"]),
                                 f"Image residuals of camera {camera} on its format, all images together, drawn {enlarged:g} "
                                 f"times larger. A "
                                 "pattern here is distortion or a wrong point, not noise."))

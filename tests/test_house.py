@@ -16,8 +16,9 @@ ROOT = Path(__file__).parent.parent
 FILES = sorted(p for folder in ("solvers", "viewer_app") for p in (ROOT / folder).rglob("*.py"))
 TASK_ROOMS = ("orientation", "matching", "mosaic", "io")
 
-TIERS = {"errors": 0, "compiled": 0, "cameras": 0, "geometry": 0, "adjustment": 1, "block": 2, "simulation": 3, "execution": 3,
-         "orientation": 4, "matching": 4, "mosaic": 4, "io": 4, "workflows": 5, "report": 5, "studies": 6, "cli": 7}
+TIERS = {"errors": 0, "legend": 0, "compiled": 0, "cameras": 0, "geometry": 0, "adjustment": 1, "block": 2, "simulation": 3,
+         "execution": 3, "orientation": 4, "matching": 4, "mosaic": 4, "io": 4,
+         "workflows": 5, "report": 5, "studies": 6, "cli": 7}
 """Imports run down: a room imports from lower tiers only (and from itself)."""
 
 PEERS = {"cameras", "geometry", "errors", "compiled", "workflows", "report"}

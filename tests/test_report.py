@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from solvers import Block, Observations, Points, report_figures
+from solvers import Block, Observations, Points
 from solvers.cli import main
 from solvers.errors import BadProject, Unsupported
 from solvers.report_accuracy import Accuracy, remarks, statements
@@ -134,13 +134,6 @@ def test_edition_2_adds_the_survey_and_asks_for_thirty():
     assert f"RMSEV = {100 * a.vertical('2024'):.1f} (cm)" in vertical and "NOT" not in vertical
     few = statements(Accuracy.of(off[:12], np.full((12, 3), 0.02)), "2023", 6, 10)[0]
     assert "minimum of thirty (30) checkpoints" in few and "ONLY 12" in few and "Edition 2 (2023)" in few
-
-
-def test_colours_are_those_of_the_viewer():
-    from viewer_app import theme
-
-    legend = theme.legend() | theme.MODELS
-    assert {k: "#{:02X}{:02X}{:02X}".format(*legend[k]) for k in report_figures.COLOURS} == report_figures.COLOURS
 
 
 def test_the_sentences_are_those_of_each_edition():

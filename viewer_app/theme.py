@@ -1,29 +1,14 @@
-"""The one legend: the same colours in scene, plots, recording and report, told apart by colour-blind people too.
-
-Okabe and Ito's eight colours, each used once, the brightest a little darker: the scene's film curve (`tones`) must reach them.
-
-Reference: Okabe & Ito 2008, "Color universal design".
-"""
+"""The viewer's colours: the legend (`solvers.legend`) on a light and on a dark ground, buttons, grounds."""
 
 from __future__ import annotations
 
-Colour = tuple[int, int, int]
-"""Red, green, blue, 0..255."""
-
-INITIAL: Colour = (128, 128, 128)  # approximate value, grey
-PERSPECTIVE: Colour = (0, 114, 178)  # blue
-ORTHOGONAL: Colour = (220, 149, 24)  # orange
-GEOREFERENCED: Colour = (0, 158, 115)  # direct georeferencing, bluish green
-CONTROL: Colour = (204, 121, 167)  # control points, reddish purple
-CHECK: Colour = (86, 180, 226)  # check points, sky blue
-RESIDUAL: Colour = (211, 94, 8)  # residual vectors, vermilion
+from solvers.legend import CHECK, CONTROL, GEOREFERENCED, INITIAL, ORTHOGONAL, PERSPECTIVE, RESIDUAL, TRUTH, Colour
 
 ACCENT_DARK: Colour = (0, 159, 248)  # buttons and the chosen tab on a dark ground: their words are black, the tab's ground is not
 BACKGROUND_DARK: Colour = (30, 32, 36)
 BACKGROUND_LIGHT: Colour = (255, 255, 255)
 FOREGROUND_DARK: Colour = (226, 226, 226)
-FOREGROUND_LIGHT: Colour = (20, 20, 20)
-TRUTH: Colour = FOREGROUND_LIGHT  # truth of a simulation on a light ground; `foreground` knows both
+FOREGROUND_LIGHT: Colour = TRUTH  # `foreground` knows both
 
 MODELS: dict[str, Colour] = {"perspective": PERSPECTIVE, "orthogonal": ORTHOGONAL, "georeferenced": GEOREFERENCED}
 

@@ -51,10 +51,16 @@ def study(folder: Path, runs: int | None = None, progress: Callable[[str], None]
             counts.append(count)
     forensic = _forensics()
     files = [page.write_csv(folder / "clusters.csv", rows), page.write_csv(folder / "clusters-published.csv", forensic)]
-    files += _tilt_figure(folder, rows) + _registration_figure(folder, rows) + _published_figure(folder, forensic)
+    files += figures(folder)
     text = folder / "clusters.md"
     text.write_text(_page(rows, counts, forensic, runs), encoding="utf-8")
     return [*files, text]
+
+
+def figures(folder: Path) -> list[Path]:
+    """The figures, drawn from the tables in the folder."""
+    rows, forensic = page.read_csv(folder / "clusters.csv"), page.read_csv(folder / "clusters-published.csv")
+    return _tilt_figure(folder, rows) + _registration_figure(folder, rows) + _published_figure(folder, forensic)
 
 
 def cell(relief: float, noise: float, runs: int, rng: np.random.Generator) -> tuple[list[dict[str, Any]], dict[str, Any]]:

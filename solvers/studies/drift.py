@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import DegenerateGeometry
 from ..mosaic.words import BAD
 from .mosaics import HEIGHT, METHODS, METRES, SIGMA_PX, WIDTH, C, Layout, layout, sequential, systematic
-from .page import COLOURS, figure, flow, number, save, table, write_csv
+from .page import COLOURS, figure, flow, number, read_csv, save, table, write_csv
 
 RUNS = 2000
 NETWORKS = tuple((k, *o, g) for k in ("strip", "block") for o in ((0.6, 0.3), (0.8, 0.6 if k == "block" else 0.3))
@@ -36,10 +36,16 @@ def study(folder: Path, runs: int | None = None, progress: Callable[[str], None]
     harm = [r for kind in (("strip", 0.6, 0.3, 600.0), ("block", 0.8, 0.6, 600.0))
             for r in disturbed(layout(*kind), max(2, min(runs // 60, 30)))]
     files = [write_csv(folder / "drift.csv", rows), write_csv(folder / "drift-systematic.csv", harm)]
-    files += _drift_figure(folder, rows) + _harm_figure(folder, harm)
+    files += figures(folder)
     page = folder / "drift.md"
     page.write_text(flow(_page(rows, harm, runs)), encoding="utf-8")
     return [*files, page]
+
+
+def figures(folder: Path) -> list[Path]:
+    """The figures, drawn from the tables in the folder."""
+    return (_drift_figure(folder, read_csv(folder / "drift.csv"))
+            + _harm_figure(folder, read_csv(folder / "drift-systematic.csv")))
 
 
 def deterministic(net: Layout, runs: int) -> list[dict[str, Any]]:

@@ -42,11 +42,17 @@ def study(folder: Path, runs: int | None = None, progress: Callable[[str], None]
     progress("fov: reversal")
     necker = [reversal(w, n, fov, s, runs, rng) for w, n, s in NECKER_SERIES for fov in NECKER_FOVS]
     files = [page.write_csv(folder / "fov.csv", rows), page.write_csv(folder / "fov-reversal.csv", necker)]
-    files += _tilt_figure(folder, rows) + _corner_figure(folder, rows) + _leak_figure(folder, rows)
-    files += _reversal_figure(folder, necker) + _prediction_figure(folder, rows)
+    files += figures(folder)
     text = folder / "fov.md"
     text.write_text(_page(rows, necker, runs), encoding="utf-8")
     return [*files, text]
+
+
+def figures(folder: Path) -> list[Path]:
+    """The figures, drawn from the tables in the folder."""
+    rows = page.read_csv(folder / "fov.csv")
+    files = _tilt_figure(folder, rows) + _corner_figure(folder, rows) + _leak_figure(folder, rows)
+    return files + _reversal_figure(folder, page.read_csv(folder / "fov-reversal.csv")) + _prediction_figure(folder, rows)
 
 
 def cell(where: str, n: int, fov: float, relief: float, noise: float, runs: int,

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import DegenerateGeometry
 from .mosaics import METHODS, SIGMA_PX, C, Layout, layout
-from .page import COLOURS, figure, flow, number, save, table, write_csv
+from .page import COLOURS, figure, flow, number, read_csv, save, table, write_csv
 
 RUNS = 8
 COUNTS = (4, 5, 6, 8, 10, 12, 16, 20)
@@ -31,10 +31,15 @@ def study(folder: Path, runs: int | None = None, progress: Callable[[str], None]
             progress(f"{net.name}, {METHODS[method]}")
             for place in PLACES:
                 rows += [case(net, method, place, count, runs) for count in COUNTS]
-    files = [write_csv(folder / "gcp.csv", rows), *_figure(folder, rows)]
+    files = [write_csv(folder / "gcp.csv", rows), *figures(folder)]
     page = folder / "gcp.md"
     page.write_text(flow(_page(rows, runs)), encoding="utf-8")
     return [*files, page]
+
+
+def figures(folder: Path) -> list[Path]:
+    """The figure, drawn from the table in the folder."""
+    return _figure(folder, read_csv(folder / "gcp.csv"))
 
 
 def chosen(net: Layout, place: str, count: int, seed: int = 0) -> np.ndarray:

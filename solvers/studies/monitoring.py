@@ -14,7 +14,7 @@ from ..orientation.bundle.joint import free_epoch
 from ..orientation.deformation import Comparison, Epoch, compare_epochs
 from ..simulation import cliff_epochs
 from ..simulation.monitoring import MOVED
-from .page import COLOURS, figure, flow, number, save, table, write_csv
+from .page import COLOURS, figure, flow, number, read_csv, save, table, write_csv
 
 RUNS = 2000
 LEVELS = (0.01, 0.05, 0.2)
@@ -37,10 +37,15 @@ def study(folder: Path, runs: int | None = None, progress: Callable[[str], None]
     for movement in (0.0, 0.003):
         progress(f"from the image coordinates on, {1000 * movement:g} mm")
         rows.append(photographed(movement, 0.05, max(runs // 10, 1)))
-    files = [write_csv(folder / "monitoring.csv", rows), *_figure(folder, rows)]
+    files = [write_csv(folder / "monitoring.csv", rows), *figures(folder)]
     page = folder / "monitoring.md"
     page.write_text(flow(_page(rows, epoch)), encoding="utf-8")
     return [*files, page]
+
+
+def figures(folder: Path) -> list[Path]:
+    """The figure, drawn from the table in the folder."""
+    return _figure(folder, read_csv(folder / "monitoring.csv"))
 
 
 def redrawn(epoch: Epoch, movement: float, level: float, runs: int, seed: int) -> dict[str, Any]:

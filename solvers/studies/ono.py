@@ -53,12 +53,11 @@ def study(folder: Path, runs: int | None = None, progress: Callable[[str], None]
     runs = runs or RUNS
     folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(SEED)
-    tables, draws = [], {}
+    tables: list[dict[str, Any]] = []
     for case in CASES:
         progress(f"ono: Table {case}")
         for model in MODELS:
-            rows, draws[case, model] = table(case, model, runs, rng)
-            tables += rows
+            tables += table(case, model, runs, rng)[0]
     progress("ono: what stays free")
     free, bent = indefinite(), deformation()
     field: list[dict[str, Any]] = []
@@ -69,11 +68,18 @@ def study(folder: Path, runs: int | None = None, progress: Callable[[str], None]
                 field += field_cell(span, relief, images, runs, rng)
     files = [page.write_csv(folder / "ono-tables.csv", tables), page.write_csv(folder / "ono-indefinite.csv", free),
              page.write_csv(folder / "ono-deformation.csv", bent), page.write_csv(folder / "ono-field.csv", field)]
-    files += _tables_figure(folder, draws) + _deformation_figure(folder, bent) + _field_figure(folder, field)
-    files += _rate_figure(folder, field)
+    files += figures(folder)
     text = folder / "ono.md"
     text.write_text(_page(tables, free, bent, field, runs), encoding="utf-8")
     return [*files, text]
+
+
+def figures(folder: Path) -> list[Path]:
+    """The figures, drawn from the tables in the folder."""
+    field = page.read_csv(folder / "ono-field.csv")
+    return (_tables_figure(folder, page.read_csv(folder / "ono-tables.csv"))
+            + _deformation_figure(folder, page.read_csv(folder / "ono-deformation.csv"))
+            + _field_figure(folder, field) + _rate_figure(folder, field))
 
 
 # -- the simulations ---------------------------------------------------------------------------------------------------------
@@ -108,11 +114,12 @@ def table(case: str, model: str, runs: int, rng: np.random.Generator) -> tuple[l
     rows = []
     for k, name in enumerate(QUANTITIES):
         v, printed, (low, high) = values[:, k], PRINTED[case][k], INTERVALS[case, model][k]
-        p5, p50, p95 = np.nanpercentile(v, [5, 50, 95])
+        p5, p25, p50, p75, p95 = np.nanpercentile(v, [5, 25, 50, 75, 95])
         rows.append({"table": case, "model": model, "quantity": name, "runs": runs, "converged": float(done.converged.mean()),
                      "defect": defect, "iterations": float(done.iterations.mean()), "mean": float(np.nanmean(v)), "p5": float(p5),
-                     "p50": float(p50), "p95": float(p95), "reference_p5": low, "reference_p95": high, "printed": printed,
-                     "printed_inside": bool(p5 <= printed <= p95), "printed_quantile": float((v < printed).mean())})
+                     "p25": float(p25), "p50": float(p50), "p75": float(p75), "p95": float(p95), "reference_p5": low,
+                     "reference_p95": high, "printed": printed, "printed_inside": bool(p5 <= printed <= p95),
+                     "printed_quantile": float((v < printed).mean())})
     if case == "5":
         c = done.networks.c
         rows.append({"table": case, "model": model, "quantity": "c", "runs": runs, "converged": float(done.converged.mean()),
@@ -323,14 +330,14 @@ def _quantiles(values: np.ndarray, at: Sequence[float]) -> list[float]:
 # -- figures ------------------------------------------------------------------------------------------------------------------
 
 
-def _tables_figure(folder: Path, draws: dict[tuple[str, str], np.ndarray]) -> list[Path]:
+def _tables_figure(folder: Path, rows: list[dict[str, Any]]) -> list[Path]:
     fig, axes = page.figure(9.5, 4.6, ncols=3)
     titles = ("sigma0 [µm]", "(3) after similarity [mm]", "(4) after affinity [mm]")
     for ax, k, title in zip(axes, (0, 8, 12), titles, strict=True):
         for x, case in enumerate(CASES):
             for side, model in ((-0.17, "perspective"), (0.17, "orthogonal")):
-                v = draws[case, model][:, k]
-                p5, p25, p50, p75, p95 = np.nanpercentile(v, [5, 25, 50, 75, 95])
+                (row,) = (r for r in _pick(rows, model=model, quantity=QUANTITIES[k]) if str(r["table"]) == case)
+                p5, p25, p50, p75, p95 = (row[key] for key in ("p5", "p25", "p50", "p75", "p95"))
                 colour = page.COLOURS[model]
                 ax.plot([x + side] * 2, [p5, p95], color=colour, lw=1.5)
                 ax.plot([x + side] * 2, [p25, p75], color=colour, lw=6, solid_capstyle="butt", alpha=0.6,
@@ -402,8 +409,8 @@ def _rate_figure(folder: Path, rows: list[dict[str, Any]]) -> list[Path]:
             y = np.arange(len(cells)) + 0.26 * (k - 1)
             shade = ("#444444", "#888888", "#bbbbbb")[k]
             ax.barh(y, [100 * r["right"] for r in picked], 0.24, color=shade, label=f"right, start {how}")
-            ax.barh(y, [100 * r["false"] for r in picked], 0.24, left=[100 * r["right"] for r in picked], color="#c0392b",
-                    label="false fixed point" if k == 0 else None)
+            ax.barh(y, [100 * r["false"] for r in picked], 0.24, left=[100 * r["right"] for r in picked],
+                    color=page.COLOURS["residual"], label="false fixed point" if k == 0 else None)
         ax.set(title=method, xlabel="of all runs [%]", xlim=(0, 100))
     axes[0].set_yticks(range(len(cells)), [f"relief {z:g} m, {n} images, {s}°" for z, n, s in cells], fontsize=8)
     axes[0].invert_yaxis()

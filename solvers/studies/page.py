@@ -8,9 +8,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-COLOURS = {"perspective": "#0072b2", "orthogonal": "#dc9518", "prior": "#009e73", "truth": "#141414", "printed": "#d35e08",
-           "control": "#cc79a7", "check": "#56b4e2"}
-"""The viewer's legend, told apart by colour-blind people too; printed: vermilion. Reference: Okabe & Ito 2008."""
+from ..errors import BadProject, BadTable
+from ..legend import INKS
+
+COLOURS = {**INKS, "prior": INKS["georeferenced"], "printed": INKS["residual"]}
+"""The legend; what a prior holds is green, the printed one-pass forms are vermilion."""
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> Path:
@@ -21,6 +23,31 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> Path:
         out.writeheader()
         out.writerows({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
     return path
+
+
+def read_csv(path: Path) -> list[dict[str, Any]]:
+    """The rows that `write_csv` wrote: numbers and truths as such, None where a cell is empty.
+
+    Raises: BadProject where there is no such table; BadTable where it is none.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            return [{k: _value(v) for k, v in row.items()} for row in csv.DictReader(file, strict=True)]
+    except FileNotFoundError as e:
+        raise BadProject(f"{path}: there is no such table; run the study first, without --figures") from e
+    except (OSError, UnicodeDecodeError, csv.Error, AttributeError) as e:
+        raise BadTable(f"{path}: this is not a table of a study; run the study again") from e
+
+
+def _value(text: str) -> Any:
+    if text in ("", "True", "False"):
+        return {"": None}.get(text, text == "True")
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            pass
+    return text
 
 
 def figure(width: float = 7.0, height: float = 4.2, **kwargs: Any) -> tuple[Any, Any]:

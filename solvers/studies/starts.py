@@ -84,7 +84,8 @@ STARTS: dict[str, tuple[Start, int, str]] = {
 
 
 def study(folder: Path, runs: int | None = None, progress: Callable[[str], None] = lambda _: None) -> list[Path]:
-    """Run the study into a folder: starts.csv, starts-unknown-c.csv, two figures (PNG, SVG) and starts.md."""
+    """Run the study into a folder: starts.csv, starts-unknown-c.csv, starts-iterations.csv, two figures (PNG, SVG) and
+    starts.md."""
     runs = runs or RUNS
     folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(SEED)
@@ -94,16 +95,24 @@ def study(folder: Path, runs: int | None = None, progress: Callable[[str], None]
             progress(f"starts: relief {relief:g}, {view}")
             for n, fov in itertools.product(COUNTS, FOVS_DEG):
                 rows += cell(n, fov, relief, view, runs, rng)
-    unknown, traces = [], {}
+    unknown, by_iteration = [], []
     for fov, relief in UNKNOWN_C:
         progress(f"starts: unknown principal distance, {fov:g} degrees, relief {relief:g} m")
-        row, traces[fov, relief] = unknown_c(fov, relief, runs, rng)
+        row, traces = unknown_c(fov, relief, runs, rng)
         unknown.append(row)
-    files = [page.write_csv(folder / "starts.csv", rows), page.write_csv(folder / "starts-unknown-c.csv", unknown)]
-    files += _success_figure(folder, rows) + _unknown_figure(folder, traces)
+        by_iteration += [{"fov_deg": fov, "relief_m": relief, "total": total, "iteration": k, "off_mm": float(r.x[20] - CAMERA.c)}
+                         for total, trace in traces.items() for k, r in enumerate(trace.rows)]
+    files = [page.write_csv(folder / "starts.csv", rows), page.write_csv(folder / "starts-unknown-c.csv", unknown),
+             page.write_csv(folder / "starts-iterations.csv", by_iteration), *figures(folder)]
     text = folder / "starts.md"
     text.write_text(_page(rows, unknown, runs), encoding="utf-8")
     return [*files, text]
+
+
+def figures(folder: Path) -> list[Path]:
+    """The figures, drawn from the tables in the folder."""
+    return (_success_figure(folder, page.read_csv(folder / "starts.csv"))
+            + _unknown_figure(folder, page.read_csv(folder / "starts-iterations.csv")))
 
 
 def scene(n: int, fov: float, relief: float, view: str, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, Exterior]:
@@ -242,12 +251,12 @@ def _success_figure(folder: Path, rows: list[dict[str, Any]]) -> list[Path]:
     return page.save(fig, folder, "starts-success")
 
 
-def _unknown_figure(folder: Path, traces: dict[tuple[float, float], dict[bool, Trace]]) -> list[Path]:
+def _unknown_figure(folder: Path, rows: list[dict[str, Any]]) -> list[Path]:
     fig, axes = page.figure(8.5, 4.0, ncols=2, sharey=True)
     for ax, total in zip(axes, (True, False), strict=True):
-        for (fov, relief), marker in zip(traces, "os^vDx", strict=True):
-            c = np.array([row.x[20] for row in traces[fov, relief][total].rows])
-            ax.plot(np.maximum(np.abs(c - CAMERA.c), 1e-10), marker=marker, ms=4, lw=1, mfc="none",
+        for (fov, relief), marker in zip(UNKNOWN_C, "os^vDx", strict=True):
+            off = np.array([r["off_mm"] for r in rows if (r["fov_deg"], r["relief_m"], r["total"]) == (fov, relief, total)])
+            ax.plot(np.maximum(np.abs(off), 1e-10), marker=marker, ms=4, lw=1, mfc="none",
                     color=page.COLOURS["orthogonal" if relief < 10 else "printed"], label=f"{fov:g}°, relief {relief:g} m")
         ax.set(yscale="log", xlabel="iteration", title="total derivative" if total else "partial derivative, as printed",
                xlim=(0, 60), ylim=(1e-10, 1e3))

@@ -126,3 +126,8 @@ def test_the_study_writes_page_tables_and_figures(tmp_path):
     for name in ("tables", "deformation", "rates", "field"):
         assert f"(ono-{name}.png)" in text and (tmp_path / f"ono-{name}.svg").stat().st_size > 1000
     assert (tmp_path / "ono-field.csv").read_text().count("\n") == 97
+    drawn = {f.name: f.read_bytes() for f in tmp_path.glob("*.svg")}
+    for name in drawn:
+        (tmp_path / name).unlink()
+    assert main(["study", "ono", "-o", str(tmp_path), "--figures", "--quiet"]) == 0  # from the tables alone, the same
+    assert {f.name: f.read_bytes() for f in tmp_path.glob("*.svg")} == drawn

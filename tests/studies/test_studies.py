@@ -7,6 +7,8 @@ all bounds below are five of them or more, and the seeds are fixed.
 from __future__ import annotations
 
 import re
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +17,7 @@ from solvers import Exterior
 from solvers.cli import main
 from solvers.orientation import orient
 from solvers.orientation.single import Request
-from solvers.studies import KINDS, clusters, fov, monitoring, published, starts
+from solvers.studies import KINDS, clusters, fov, monitoring, page, published, starts
 from solvers.studies.clusters import chances
 from solvers.studies.design import CAMERA, TABLE_I, Sample, cluster, errors, estimate, mirrored, predict, summary, tilt_deg
 from solvers.studies.estimators import Poses, exponential, orthogonal_iterated, orthogonal_pass, perspective
@@ -176,6 +178,27 @@ def test_study_command_writes_page_tables_and_figures(tmp_path, capsys, monkeypa
     assert "--runs 4" in text and len(figures) == 3 and all((tmp_path / name).exists() for name in figures)
     assert (tmp_path / "fov-reversal.svg").stat().st_size > 1000
     assert set(KINDS) >= {"clusters", "fov", "starts", "ono"}
+
+
+def test_figures_are_drawn_anew_from_tables_or_what_is_missing_is_said(tmp_path, capsys):
+    """As starts, which holds truths, gaps and numbers that ran away."""
+    for name in ("starts.csv", "starts-iterations.csv"):
+        shutil.copy(Path(__file__).parents[2] / "docs/studies" / name, tmp_path)
+    assert main(["study", "starts", "-o", str(tmp_path), "--figures", "--quiet"]) == 0
+    assert all((tmp_path / name).stat().st_size > 5000 for name in ("starts-success.svg", "starts-unknown-c.svg"))
+    assert main(["study", "gcp", "-o", str(tmp_path), "--figures"]) == 1
+    assert "gcp.csv: there is no such table; run the study first" in capsys.readouterr().err
+    (tmp_path / "gcp.csv").write_text("kind,method\nstrip,none\n", encoding="utf-8")
+    assert main(["study", "gcp", "-o", str(tmp_path), "--figures"]) == 1
+    assert "its tables are not those of a whole study of gcp" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("rows", [[{"a": 1, "b": 0.25, "c": True, "d": None, "e": "2 x"}, {"a": -3, "b": float("inf"), "c": False,
+                                                                                     "d": 7, "e": ""}]])
+def test_tables_come_back_as_they_were_written(tmp_path, rows):
+    back = page.read_csv(page.write_csv(tmp_path / "t.csv", rows))
+    assert back == [{k: None if v == "" else v for k, v in row.items()} for row in rows]
+    assert [type(v) for v in back[0].values()] == [type(v) for v in rows[0].values()]
 
 
 def test_study_of_monitoring_counts_alarms_and_movements(tmp_path):

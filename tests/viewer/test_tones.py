@@ -36,13 +36,6 @@ def test_colours_beyond_the_curve_come_as_close_as_they_can() -> None:
     )
 
 
-def test_the_studies_speak_the_colours_of_the_legend() -> None:
-    from solvers.studies.page import COLOURS
-
-    said = {n: c for n, c in theme.legend().items() if n in COLOURS} | {"prior": theme.GEOREFERENCED, "printed": theme.RESIDUAL}
-    assert COLOURS == {name: "#{:02x}{:02x}{:02x}".format(*colour) for name, colour in said.items()} and len(said) == 7
-
-
 @pytest.mark.parametrize("dark", [False, True])
 def test_buttons_and_the_chosen_tab_can_be_read(dark: bool) -> None:
     def light(colour: tuple[float, ...]) -> float:

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import viser
 
+from solvers.legend import css
+
 from ..actions import Action
 from ..bridge import given
 from ..theme import Colour
@@ -49,10 +51,6 @@ class Html:
 
 def esc(text: Any) -> str:
     return html.escape(str(text))
-
-
-def css(colour: Colour) -> str:
-    return "#{:02x}{:02x}{:02x}".format(*colour)
 
 
 def swatch(colour: Colour) -> str:

@@ -13,10 +13,11 @@ import numpy as np
 
 from ...cameras import Interior
 from ...errors import BadTable
+from ...legend import CHECK, CONTROL, INITIAL, PERSPECTIVE
 from ..files import write_atomic, write_text
 from .scene import Camera, Exchange
 
-COLOURS = {"control": (214, 69, 65), "check": (52, 120, 200), "tie": (150, 150, 150), "camera": (245, 166, 35)}
+COLOURS = {"control": CONTROL, "check": CHECK, "tie": INITIAL, "camera": PERSPECTIVE}
 
 
 def origin_of(scene: Exchange) -> np.ndarray:
