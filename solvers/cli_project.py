@@ -74,13 +74,24 @@ def add(commands: Any) -> None:
     log.add_argument("project", metavar="PROJECT|RUN")
     log.add_argument("--no-browser", action="store_true", help="only print the address")
 
-    export = add_command(commands, "export", _export, "an offline replay, a recording, tables or the project as files")
+    export = add_command(commands, "export", _export, "what is to be shared: replay, recording, picture, tables, scene, mosaic, "
+                                                      "or the project itself, as files")
     export.add_argument("project", metavar="PROJECT")
-    export.add_argument("--html", metavar="FILE", help="one page that plays the adjustment, without a server or network")
-    export.add_argument("--rrd", metavar="FILE", help="recording for rerun's viewer")
-    export.add_argument("--png", metavar="FILE", help="picture of the scene, 3840 x 2160 pixels; needs Chromium or Chrome")
-    export.add_argument("--csv", metavar="FOLDER", help="points, images and orientations as tables")
-    export.add_argument("--zip", metavar="FILE", help="the project folder, photos included, without what is derived")
+    for kind, target, words in EXPORTS:
+        export.add_argument(f"--{kind}", metavar=target, help=words)
+
+
+EXPORTS = (
+    ("html", "FILE", "one page that plays the adjustment, without a server or network"),
+    ("rrd", "FILE", "recording for rerun's viewer"),
+    ("png", "FILE", "picture of the scene with its legend, 3840 x 2160 pixels; needs Chromium or Chrome"),
+    ("csv", "FOLDER", "points, images, observations, orientations, residuals and iterations as tables"),
+    ("glb", "FILE", "the scene as binary glTF, metres from the scene's origin"),
+    ("ply", "FILE", "terrain, planes and frustums as one coloured mesh, metres from the scene's origin"),
+    ("tif", "FILE", "the mosaic as GeoTIFF, as the viewer made it last, else with the viewer's defaults"),
+    ("zip", "FILE", "the project with all its photos, without what is derived"),
+)
+"""Kind, target and help of the ways out; the tab Export of the viewer has the same."""
 
 
 def _demo(args: argparse.Namespace) -> int:
@@ -189,17 +200,19 @@ def _log(args: argparse.Namespace) -> int:
 
 
 def _export(args: argparse.Namespace) -> int:
-    from viewer_app.share import export
+    from viewer_app.exporting import export
 
     from .errors import BadProject
-    from .io import read_project
 
-    wishes = {kind: Path(getattr(args, kind)) for kind in ("html", "rrd", "png", "csv", "zip") if getattr(args, kind)}
+    wishes = {kind: Path(getattr(args, kind)) for kind, _, _ in EXPORTS if getattr(args, kind)}
     if not wishes:
-        raise BadProject("nothing to export; say what: --html FILE, --rrd FILE, --png FILE, --csv FOLDER or --zip FILE")
-    read_project(args.project)  # says what is wrong with the folder before anything is written
-    files = [str(path) for path in export(Path(args.project), wishes)]
-    emit(args, {"project": str(args.project), "files": files}, "\n".join(files))
+        said = [f"--{kind} {target}" for kind, target, _ in EXPORTS]
+        raise BadProject(f"nothing to export; say what: {', '.join(said[:-1])} or {said[-1]}")
+    files, failed = export(Path(args.project), wishes)
+    if files or args.json:
+        emit(args, {"project": str(args.project), "files": [str(f) for f in files], "failed": failed}, "\n".join(map(str, files)))
+    if failed:
+        raise BadProject("; ".join(failed))
     return 0
 
 

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from solvers import Block
+from solvers import BadProject, Block
 
 from .acting import Action
 from .bundle_actions import BundleCame, BundleFailed
 from .bundle_state import LEAST_SQUARES, Bundle, taking_part
-from .bundle_work import bundle_work, follow_work, keep_work
+from .bundle_work import adjusted_of, bundle_work, follow_work, keep_work
 from .kept import by_identity
+from .rerun_shown import shown
 from .state import State
 from .tasks import Task
+
+if TYPE_CHECKING:
+    from solvers.orientation import Adjusted
 
 
 def tasks(state: State) -> tuple[Task, ...]:
@@ -31,7 +35,7 @@ def tasks(state: State) -> tuple[Task, ...]:
 
     if room.task == "keep" and state.assets.folder is not None:
         manifest = room.layout.manifest if room.layout is not None else {}
-        arguments = (block, options, room.rows, state.assets.folder, manifest)
+        arguments = (block, options, room.rows, state.assets.folder, manifest, shown(state))
         return (Task(("keep", serial), keep_work, arguments, came, failed, "writing the run", "bundle"),)
     if room.task == "follow":
         arguments = (block, state.assets.folder, state.assets.frame)
@@ -58,3 +62,12 @@ def _without(block: Block, off: frozenset[str]) -> Block:
     points = block.points
     roles = tuple("check" if n in off and r == "control" else r for n, r in zip(points.names, points.role, strict=True))
     return replace(block, points=replace(points, role=roles))
+
+
+def adjusted_bundle(state: State) -> tuple[Block, Adjusted]:
+    """The bundle's block and all that its last row says, worked out again here and now. Raises PhotogrammetryError."""
+    room = state.room(Bundle)
+    if room.block is None or room.layout is None or not room.rows:
+        raise BadProject(f"{state.block.name}: there is no bundle yet; run it first")
+    block = _without(room.block, room.asked[-1])
+    return block, adjusted_of(block, _options(room.asked, room.block), room.rows, room.layout.manifest)

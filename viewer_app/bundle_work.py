@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from solvers.adjustment import Iteration, Trace, iterate, thin
 from solvers.geometry import LocalFrame
 
 from .bundle_values import Ended, Judged, Kept, Layout, layout_of
+from .rerun_shown import EVERYTHING, Shown
 
 SILENT = "stopped"
 """The stop reason of a trace that a person ended."""
@@ -135,27 +137,36 @@ def _layout(block: Block, manifest: Mapping[str, Any], frame: LocalFrame) -> Lay
 
 
 def keep_work(block: Block, options: dict[str, Any], rows: tuple[Iteration, ...], folder: Path,
-              manifest: Mapping[str, Any]) -> Iterator[Kept]:
-    """The bundle of these rows as a run of the project. Raises PhotogrammetryError, also where the folder takes no file."""
+              manifest: Mapping[str, Any], shown: Shown = EVERYTHING) -> Iterator[Kept]:
+    """The bundle of these rows as a run of the project. shown: with what its recording opens.
+
+    Raises PhotogrammetryError, also where the folder takes no file.
+    """
     from solvers import BadProject
-    from solvers.orientation.bundle import Begun, BundleRequest, conclude_bundle, prepare_bundle
     from solvers.workflows_bundle import leave_run
 
     from .rerun_bundle import record_bundle
 
-    adjusted = LAST.adjusted if LAST.block is block and _same(LAST.rows, rows) else None
-    if adjusted is None:
-        start = prepare_bundle(block, BundleRequest(**options), Begun(manifest, rows[0].x, rows[-1].x))
-        ended = rows if rows[-1].stop else (*rows[:-1], replace(rows[-1], stop=SILENT))
-        try:
-            adjusted = conclude_bundle(start, Trace(ended, start.manifest))
-        except np.linalg.LinAlgError as error:
-            raise _misfit(block, error) from None
+    adjusted = adjusted_of(block, options, rows, manifest)
     try:
-        run = leave_run(folder, "adjust", block, adjusted, record_bundle)
+        run = leave_run(folder, "adjust", block, adjusted, partial(record_bundle, shown=shown))
     except OSError as error:
         raise BadProject(f"the run could not be written ({error}); make room in {folder / 'runs'} or its rights") from None
     yield Kept(str(run.run))
+
+
+def adjusted_of(block: Block, options: dict[str, Any], rows: tuple[Iteration, ...], manifest: Mapping[str, Any]) -> Any:
+    """The bundle that ended with these rows, as this process did it last or worked out again. Raises PhotogrammetryError."""
+    from solvers.orientation.bundle import Begun, BundleRequest, conclude_bundle, prepare_bundle
+
+    if LAST.block is block and _same(LAST.rows, rows):
+        return LAST.adjusted
+    start = prepare_bundle(block, BundleRequest(**options), Begun(manifest, rows[0].x, rows[-1].x))
+    ended = rows if rows[-1].stop else (*rows[:-1], replace(rows[-1], stop=SILENT))
+    try:
+        return conclude_bundle(start, Trace(ended, start.manifest))
+    except np.linalg.LinAlgError as error:
+        raise _misfit(block, error) from None
 
 
 def _same(a: tuple[Iteration, ...], b: tuple[Iteration, ...]) -> bool:

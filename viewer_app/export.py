@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+from solvers import BadProject
+
+from .state import State
 from .values import (
     Ellipsoid,
     Ellipsoids,
@@ -22,32 +26,53 @@ from .values import (
     linear,
 )
 
+UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+"""From z up to y up, as glTF has it."""
+SITE = "site"
 
-def glb(scene: Scene) -> bytes:
-    """The scene as binary glTF, every entity a node under its own path."""
-    return bytes(_collect(scene).export(file_type="glb"))
+
+def where(state: State) -> dict[str, Any]:
+    """What a file must say of its numbers: their unit, axes and origin."""
+    frame = state.assets.frame
+    axes = "x east, y north, z up" if frame.cartesian else "x east, y north, z up at the origin (local tangent frame)"
+    return {"name": state.block.name, "unit": "metre", "axes": axes, "crs": frame.crs, "origin": [float(v) for v in frame.origin]}
 
 
-def ply(scene: Scene) -> bytes:
-    """Terrain, planes, ellipsoids and frustums as one coloured triangle mesh."""
+def glb(scene: Scene, said: Mapping[str, Any] | None = None) -> bytes:
+    """The scene as binary glTF, every entity a node under its own path, in a node that stands z up; said: `where` it is, which
+    the file keeps as extras of the scene."""
+    return bytes(_collect(scene, said or {}).export(file_type="glb"))
+
+
+def ply(scene: Scene, said: Mapping[str, Any] | None = None) -> bytes:
+    """Terrain, planes, ellipsoids and frustums as one coloured triangle mesh; said: `where` it is, as comments.
+
+    Raises BadProject where there is nothing of the kind.
+    """
     import trimesh
 
     meshes = [m for value in scene.values() if (m := _triangles(value)) is not None]
+    if not meshes:
+        raise BadProject("the scene has no surface, plane or camera to write as PLY yet; orient an image or give a height grid")
     mesh: Any = trimesh.util.concatenate(meshes)
-    return bytes(mesh.export(file_type="ply"))
+    head, end, rest = bytes(mesh.export(file_type="ply")).partition(b"\n")
+    form, line, rest = rest.partition(b"\n")
+    comments = "".join(f"comment {k} {' '.join(str(v).split())}\n" for k, v in (said or {}).items())
+    return head + end + form + line + comments.encode("ascii", "replace") + rest
 
 
-def _collect(scene: Scene) -> Any:
+def _collect(scene: Scene, said: Mapping[str, Any]) -> Any:
     import trimesh
 
-    out = trimesh.Scene()
+    out = trimesh.Scene(metadata=dict(said))
+    out.graph.update(frame_to=SITE, frame_from=out.graph.base_frame, matrix=UPRIGHT)
     for path, value in scene.items():
         solid = _triangles(value)
         if solid is not None:
             solid.visual.vertex_colors[:, :3] = linear(solid.visual.vertex_colors[:, :3])
         for kind, geometry in (("", solid), ("/lines", _lines(value))):
             if geometry is not None:
-                out.add_geometry(geometry, node_name=path + kind, geom_name=path + kind)
+                out.add_geometry(geometry, node_name=path + kind, geom_name=path + kind, parent_node_name=SITE)
     return out
 
 

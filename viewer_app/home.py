@@ -33,14 +33,26 @@ def home(state: State) -> tuple[np.ndarray, np.ndarray, float]:
 def home_beside(state: State, width: float, height: float, fov: float) -> tuple[np.ndarray, np.ndarray]:
     """Position (3,) and point looked at (3,) from which all there is stands beside the panel, or above it, whichever shows it
     larger. width, height: of the canvas, pixels of the page; fov: vertical [rad]."""
-    corners = _seen(state, width > PANEL + WIDE)
+    half = np.array([width, height]) / 2
+    places = [(np.array([left, low]) + RIM - half, half - [WORDS, SKY]) for left, low in ((PANEL, 0), (0, LOW))]
+    free = [(a, b) for a, b in places if (b - a > 120).all()] or [(0.1 - half, half - 0.1)]
+    return _placed(_seen(state, width > PANEL + WIDE), height, fov, free)
+
+
+def home_alone(state: State, width: float, height: float, fov: float, left: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """The same in a picture of its own; left: pixels kept free there, for a legend."""
+    half = np.array([width, height]) / 2
+    return _placed(_seen(state), height, fov, [(np.array([left, 0.0]) + RIM - half, half - [WORDS, SKY])])
+
+
+def _placed(corners: np.ndarray, height: float, fov: float, free: list[tuple[np.ndarray, np.ndarray]]
+            ) -> tuple[np.ndarray, np.ndarray]:
+    """Position and point looked at from which corners (n, 3) m fit into one of the rectangles, that which shows them larger."""
     middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
     right = np.cross(-WAY, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     seen = (corners - middle) @ np.column_stack([right, np.cross(right, -WAY), -WAY])  # right, up, away
-    focal, half = height / 2 / np.tan(fov / 2), np.array([width, height]) / 2
-    places = [(np.array([left, low]) + RIM - half, half - [WORDS, SKY]) for left, low in ((PANEL, 0), (0, LOW))]
-    free = [(a, b) for a, b in places if (b - a > 120).all()] or [(0.1 - half, half - 0.1)]
+    focal = height / 2 / np.tan(fov / 2)
     distance, moved = min((_fitted(seen, focal, a, b) for a, b in free), key=lambda found: found[0])
     at = middle + moved[0] * right + moved[1] * np.cross(right, -WAY)
     return at + distance * WAY, at

@@ -25,6 +25,7 @@ from .ground import nice
 from .replay import ELEMENTS, Replay
 from .rerun_layout import blueprint, part
 from .rerun_server import open_log, serve
+from .rerun_shown import EVERYTHING, Shown
 from .rerun_values import about, drawn, pinhole, pose, sentence, shade
 
 if TYPE_CHECKING:
@@ -34,6 +35,8 @@ __all__ = ["TIMELINE", "open_log", "record", "serve"]
 
 TIMELINE = "iteration"
 LOGARITHMIC = ("cost", "sigma0", "step")
+NAMED = 40
+"""Known points up to which their names are shown, not only told where one points at them."""
 KINDS = {"control": theme.CONTROL, "check": theme.CHECK, "off": theme.INITIAL}
 JPEG_QUALITY = 85
 STAMP = 256
@@ -43,11 +46,11 @@ RESIDUAL_SHARE = 0.08
 
 
 def record(path: str | Path, block: Block, orientations: Sequence[Orientation], photos: Mapping[str, np.ndarray],
-           truth: Mapping[str, Any] | None = None) -> None:
+           truth: Mapping[str, Any] | None = None, shown: Shown = EVERYTHING) -> None:
     """Write the recording of a run, atomically.
 
     photos: small pictures uint8 (h, w, 3) by image name, of any size; images without one are drawn without.
-    truth: what `solvers.io.read_truth` gives back.
+    truth: what `solvers.io.read_truth` gives back. shown: with what it opens.
     """
     import rerun as rr
 
@@ -61,10 +64,10 @@ def record(path: str | Path, block: Block, orientations: Sequence[Orientation], 
         stream = rr.RecordingStream("collinea", recording_id=_identity(block, replays), send_properties=False)
         stream.set_log_time_enabled(False)
         stream.set_log_tick_enabled(False)
-        stream.save(unfinished, default_blueprint=blueprint(replays, site))
+        stream.save(unfinished, default_blueprint=blueprint(replays, site, shown))
         with stream:  # leaving it writes the end of the file
             stream.send_recording_name(block.name)
-            painter = _Painter(stream, block, frame, _depth(replays, site))
+            painter = _Painter(stream, block, frame, _depth(replays, site), shown)
             painter.still(orientations, photos, truth or {})
             stream.flush()  # what stands still comes first in the file, so that a slow browser shows it first
             for replay, orientation in zip(replays, orientations, strict=True):
@@ -79,8 +82,8 @@ def record(path: str | Path, block: Block, orientations: Sequence[Orientation], 
 class _Painter:
     """Values to rerun's archetypes. depth [m]: where image planes are drawn."""
 
-    def __init__(self, stream: rr.RecordingStream, block: Block, frame: LocalFrame, depth: float) -> None:
-        self.stream, self.block, self.frame, self.depth = stream, block, frame, depth
+    def __init__(self, stream: rr.RecordingStream, block: Block, frame: LocalFrame, depth: float, shown: Shown) -> None:
+        self.stream, self.block, self.frame, self.depth, self.shown = stream, block, frame, depth, shown
 
     # -- what does not move
 
@@ -103,19 +106,19 @@ class _Painter:
                 angles = np.radians([true["omega_deg"], true["phi_deg"], true["kappa_deg"]])
                 centre = self.frame.to_local(np.array([true["X"], true["Y"], true["Z"]]))
                 known = Exterior.from_angles(*angles, centre=centre)
-                self._camera(f"/images/{part(name)}/truth/camera", name, known, theme.TRUTH, 0.6)
+                self._camera(f"/images/{part(name)}/truth/camera", name, known, theme.foreground(self.shown.dark), 0.6)
 
     def _points(self) -> None:
         import rerun as rr
 
         points = self.block.points
-        xyz, role = self.frame.to_local(points.xyz), np.array(points.role)
+        xyz, role, hidden = self.frame.to_local(points.xyz), np.array(points.role), self.shown.hidden
         for kind, colour in (("control", theme.CONTROL), ("check", theme.CHECK)):
             rows = np.flatnonzero((role == kind) & np.isfinite(xyz).all(axis=1))
             if len(rows):
                 labels = [points.names[j] for j in rows]
                 self._static(f"/points/{kind}", rr.Points3D(xyz[rows], colors=colour, radii=rr.Radius.ui_points(4), labels=labels,
-                                                            show_labels=True))
+                                                            show_labels=len(rows) <= NAMED and "labels" not in hidden))
 
     def _photo(self, name: str, models: list[str], photo: np.ndarray | None) -> None:
         """The photo under its measurements, in pixels of the full format, and in the image planes of its cameras."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import shutil
 import subprocess
 import tempfile
@@ -16,11 +15,11 @@ import numpy as np
 from solvers import Unsupported
 
 from .bridge import open_server
-from .home import home
+from .home import home, home_alone
 from .paint_viser import Painter
+from .picture_words import finished
 from .state import State
 from .tabs import whole_scene
-from .theme import background
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge")
 FLAGS = (
@@ -31,12 +30,15 @@ FLAGS = (
 )  # fmt: skip
 SIZE = (2160, 3840)
 """Height and width [px]: 4K."""
+FOV = np.radians(45)
+VIEW, LEGEND = (1280, 720), 480
+"""Width and height of the picture for the first view, and of its part under the words, pixels of the page."""
 PATIENCE = 120.0
 """Seconds until the browser must have shown itself, and until its picture must stand still."""
 
 
 def scene_png(state: State, size: tuple[int, int] = SIZE) -> bytes:
-    """The scene from its first view, PNG with the theme's background. Raises Unsupported where there is no Chromium."""
+    """The scene from its first view, PNG with title and legend. Raises Unsupported where there is no Chromium."""
     program = next(filter(None, map(shutil.which, BROWSERS)), None)
     if program is None:
         raise Unsupported("a picture needs Chromium or Chrome, and none was found; install one (apt install chromium)")
@@ -46,12 +48,12 @@ def scene_png(state: State, size: tuple[int, int] = SIZE) -> bytes:
         server.scene.world_axes.visible = False
         server.scene.configure_default_lights(cast_shadow=False)
         camera = server.initial_camera
-        camera.position, camera.look_at, camera.far = home(state)
-        camera.near, camera.fov = camera.far / 20000, np.radians(45)
+        (camera.position, camera.look_at), camera.far = home_alone(state, *VIEW, FOV, LEGEND), home(state)[2]
+        camera.near, camera.fov = camera.far / 20000, FOV
         Painter(server).paint(whole_scene(state))
         server.flush()
         with _browser(program, f"http://127.0.0.1:{server.get_port()}/?fixedDpr=1"):
-            return _png(_still(_client(server), size), state.view.dark)
+            return finished(_still(_client(server), size), state)
     finally:
         server.stop()
 
@@ -93,12 +95,3 @@ def _still(client: Any, size: tuple[int, int]) -> np.ndarray:
         before = now
         time.sleep(0.3)
     raise Unsupported(f"the picture did not come to rest within {PATIENCE:.0f} s; try again when the machine is less busy")
-
-
-def _png(pixels: np.ndarray, dark: bool) -> bytes:
-    from PIL import Image
-
-    out, drawn = io.BytesIO(), Image.fromarray(pixels).convert("RGBA")
-    back = Image.new("RGBA", drawn.size, (*background(dark), 255))
-    Image.alpha_composite(back, drawn).convert("RGB").save(out, "PNG")
-    return out.getvalue()

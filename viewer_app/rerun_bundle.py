@@ -22,6 +22,8 @@ from solvers.geometry import LocalFrame
 
 from . import theme
 from .ground import nice
+from .rerun_layout import hide
+from .rerun_shown import BUNDLE, EVERYTHING, Shown
 from .rerun_values import about
 from .scene import CHI_95
 
@@ -38,8 +40,8 @@ SWOLLEN, PHOTOS = 500, 60
 """Ellipsoids of one kind, the largest, and photos with their residuals, the worst, at most."""
 
 
-def record_bundle(path: str | Path, block: Block, adjusted: Adjusted) -> None:
-    """Write the recording of an adjusted block, atomically."""
+def record_bundle(path: str | Path, block: Block, adjusted: Adjusted, shown: Shown = EVERYTHING) -> None:
+    """Write the recording of an adjusted block, atomically. shown: with what it opens."""
     import rerun as rr
 
     path, trace = Path(path), adjusted.trace
@@ -53,7 +55,7 @@ def record_bundle(path: str | Path, block: Block, adjusted: Adjusted) -> None:
         if adjusted.orientations:
             worst = max(adjusted.orientations, key=lambda o: o.rms_px).image
             scene.worst = f"/photos/{rr.escape_entity_path_part(worst)}/**"
-        stream.save(unfinished, default_blueprint=scene.blueprint())
+        stream.save(unfinished, default_blueprint=scene.blueprint(shown))
         with stream:
             stream.send_recording_name(block.name)
             scene.still()
@@ -123,7 +125,7 @@ class _Scene:
         a = 12 * self.m
         return x[:a].reshape(-1, 12), x[a + 10 * self.k:a + 10 * self.k + 3 * self.n].reshape(-1, 3)
 
-    def blueprint(self) -> Any:
+    def blueprint(self, shown: Shown = EVERYTHING) -> Any:
         import rerun.blueprint as rrb
 
         poses, points = self._parts(self.x)
@@ -131,14 +133,16 @@ class _Scene:
         low, high = np.percentile(seen, [2, 98], axis=0)
         target, reach = (low + high) / 2, 1.2 * max(float(np.linalg.norm(high - low)), 1e-3)
         eye = rrb.EyeControls3D(position=target + reach * np.array([0.4, -0.65, 0.75]), look_target=target, eye_up=(0, 0, 1))
+        hidden = hide(path for name, path in BUNDLE.items() if name in shown.hidden)
         space = rrb.Spatial3DView(origin="/", name="Block", contents=["/bundle/**", "/points/**"],
-                                  background=theme.BACKGROUND_LIGHT, eye_controls=eye)
+                                  background=theme.background(shown.dark), eye_controls=eye, overrides=hidden)
         curves = rrb.TimeSeriesView(origin="/plots/bundle/log10", name="Convergence (log10)")
         photo = rrb.Spatial2DView(origin="/photos", name="Residuals in the worst photo", contents=self.worst)
         return rrb.Blueprint(
-            rrb.Horizontal(space, rrb.Vertical(curves, photo, rrb.TextLogView(origin="/log", name="Log"),
-                                               rrb.TextDocumentView(origin="/about", name="About")), column_shares=[2, 1]),
-            rrb.TimePanel(state="collapsed", timeline="iteration", fps=2.0, play_state="paused"),
+            rrb.Horizontal(space, rrb.Vertical(curves, rrb.Tabs(photo, rrb.TextLogView(origin="/log", name="Log"),
+                                                                rrb.TextDocumentView(origin="/about", name="About"),
+                                                                active_tab=0)), column_shares=[3, 2]),
+            rrb.TimePanel(state="collapsed", timeline="iteration", fps=2.0, play_state="following"),
             rrb.BlueprintPanel(state="collapsed"), rrb.SelectionPanel(state="collapsed"), auto_views=False)
 
     def still(self) -> None:

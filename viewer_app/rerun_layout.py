@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from . import theme
 from .replay import ELEMENTS, Replay
+from .rerun_shown import EVERYTHING, LAYERS, Shown
 
 if TYPE_CHECKING:
     import rerun.blueprint as rrb
@@ -21,26 +22,46 @@ def part(name: str) -> str:
     return rr.escape_entity_path_part(name.replace("/", "_"))
 
 
-def blueprint(replays: Sequence[Replay], site: np.ndarray) -> rrb.Blueprint:
-    """site (n, 3) m: the known points, which the 3D view looks at."""
+def blueprint(replays: Sequence[Replay], site: np.ndarray, shown: Shown = EVERYTHING) -> rrb.Blueprint:
+    """site (n, 3) m: the known points, which the 3D view looks at. It opens at the last row, with what the scene shows."""
     import rerun.blueprint as rrb
 
     images = list(dict.fromkeys(r.image for r in replays))
-    tabs: list[Any] = [_image(name, [r for r in replays if r.image == name]) for name in images]
+    images.sort(key=lambda name: name != shown.image)
+    tabs: list[Any] = [_image(name, [r for r in replays if r.image == name], shown) for name in images]
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Vertical(_space(replays, site), rrb.TextLogView(origin="/log", name="Log"), row_shares=[3, 1]),
+            rrb.Vertical(_space(replays, site, shown), rrb.TextLogView(origin="/log", name="Log"), row_shares=[3, 1]),
             rrb.Tabs(*tabs, rrb.TextDocumentView(origin="/about", name="About"), active_tab=0),
             column_shares=[1, 1],
         ),
-        rrb.TimePanel(state="collapsed", timeline="iteration", fps=2.0, play_state="paused"),
+        rrb.TimePanel(state="collapsed", timeline="iteration", fps=2.0, play_state="following"),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         auto_views=False,
     )
 
 
-def _space(replays: Sequence[Replay], site: np.ndarray) -> rrb.Spatial3DView:
+def hide(paths: Iterable[str]) -> Any:
+    """Overrides of a view by which entities, and what is below them, begin hidden."""
+    import rerun.blueprint as rrb
+
+    return {path: rrb.EntityBehavior(visible=False) for path in paths}
+
+
+def hidden_in_space(replays: Sequence[Replay], shown: Shown) -> list[str]:
+    """Entities that begin hidden because the scene does not show them: layers that are switched off, rays of images that are not
+    the chosen one."""
+    found = []
+    for name in dict.fromkeys(r.image for r in replays):
+        found += [f"/images/{part(name)}/{layer}" for layer in LAYERS if layer in shown.hidden]
+    for r in replays:
+        if "rays" in shown.hidden or shown.image not in ("", r.image):
+            found.append(f"/images/{part(r.image)}/{r.model}/rays")
+    return found
+
+
+def _space(replays: Sequence[Replay], site: np.ndarray, shown: Shown) -> rrb.Spatial3DView:
     import rerun.blueprint as rrb
 
     seen = np.concatenate([site, *[r.exterior(r.rows[-1]).centre[None] for r in replays]])
@@ -48,18 +69,22 @@ def _space(replays: Sequence[Replay], site: np.ndarray) -> rrb.Spatial3DView:
     target, reach = (low + high) / 2, 1.0 * max(float(np.linalg.norm(high - low)), 1e-3)
     eye = rrb.EyeControls3D(position=target + reach * np.array([0.4, -0.65, 0.75]), look_target=target, eye_up=(0, 0, 1))
     photos = [f"- /images/{part(name)}/photo/**" for name in dict.fromkeys(r.image for r in replays)]
+    hidden = hide(hidden_in_space(replays, shown))
     return rrb.Spatial3DView(origin="/", name="Block", contents=["/images/**", "/points/**", *photos],
-                             background=theme.BACKGROUND_LIGHT, eye_controls=eye)
+                             background=theme.background(shown.dark), eye_controls=eye, overrides=hidden)
 
 
-def _image(name: str, replays: Sequence[Replay]) -> rrb.Vertical:
+def _image(name: str, replays: Sequence[Replay], shown: Shown) -> rrb.Vertical:
     import rerun.blueprint as rrb
 
     camera = replays[0].camera
     width, height, room = camera.width, camera.height, 0.06 * camera.width
+    hidden = [f"/images/{part(name)}/photo/{r.model}" for r in replays if r.model in shown.hidden]
+    if "residuals" in shown.hidden:
+        hidden += [f"/images/{part(name)}/photo/{r.model}/residuals" for r in replays]
     bounds = rrb.VisualBounds2D(x_range=[-room, width + room], y_range=[-room, height + room])
     photo = rrb.Spatial2DView(origin=f"/images/{part(name)}/photo", name=f"{name}: observed, projected", visual_bounds=bounds,
-                              background=theme.BACKGROUND_LIGHT)
+                              background=theme.background(shown.dark), overrides=hide(hidden))
     mapping = rrb.TensorScalarMapping(colormap="CyanToYellow", mag_filter="Nearest")
     matrices = [rrb.TensorView(origin=f"/normal/{part(name)}/{r.model}", name=f"{r.model}: {' '.join(ELEMENTS)}",
                                scalar_mapping=mapping) for r in replays]

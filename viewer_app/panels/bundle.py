@@ -82,7 +82,7 @@ class BundlePanel:
         show = gui.add_button("Bundle in rerun", hint="Keep it as a run and open its recording in rerun, beside the scene.",
                               color=QUIET)
         show.on_click(lambda _: emit(KeepBundle(open=True)))
-        self._rerun = RerunPanel(gui, emit, desk.state, "rerun of the bundle")
+        self._rerun = RerunPanel(desk.server, emit, desk.state, "rerun of the bundle")
         self._opened = 0
         self._seen: tuple[Any, ...] = ()
 

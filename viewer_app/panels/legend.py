@@ -39,11 +39,15 @@ def legend_html(state: State) -> str:
     rows.append(_row(_line(ORTHOGONAL, "3 2"), "short dashes: the same in the papers' printed form"))
     rows.append(_row(_line(PERSPECTIVE, "7 2"), "dashed: perspective that observes the prior"))
     rows.append(_row(_line(foreground(dark)), "arrow between frustums: difference of the models, exaggeration beside it"))
-    drawn = (
-        f"residuals on the ground × {vector_scale(state):g} · residuals on the photo × {state.view.photo_vectors:g} · "
+    return f'<div {BOX} role="list" aria-label="Legend">{"".join(rows)}<div {MUTED}>{exaggerations(state)}</div></div>'
+
+
+def exaggerations(state: State) -> str:
+    """By how much what is drawn is larger than it is."""
+    return (
+        f"drawn: residuals on the ground × {vector_scale(state):g} · residuals on the photo × {state.view.photo_vectors:g} · "
         f"95 % ellipsoids × {max(state.view.ellipsoid, 1.0):g}"
     )
-    return f'<div {BOX} role="list" aria-label="Legend">{"".join(rows)}<div {MUTED}>drawn: {drawn}</div></div>'
 
 
 def _row(mark: str, words: str) -> str:

@@ -65,7 +65,7 @@ class ProjectPanel:
 
     def __init__(self, desk: Desk) -> None:
         gui, emit, self._desk, self._wire = desk.gui, desk.emit, desk, desk.wire
-        self._rerun = RerunPanel(gui, emit, desk.state)
+        self._rerun = RerunPanel(desk.server, emit, desk.state)
         self._text = Html(gui)
         self._drawn: tuple[object, ...] = ()
         for label, (hint, way) in self._ways().items():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import tempfile
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import viser
 from solvers import PhotogrammetryError
 
 from ..actions import Action, Say
+from ..rerun_shown import shown
 from ..state import MODELS, State
 from .widgets import esc
 
@@ -22,9 +23,9 @@ class RerunPanel:
     """Records the solutions there are and shows the recording; a second press records anew."""
 
     def __init__(
-        self, gui: viser.GuiApi, emit: Callable[[Action], None], state: Callable[[], State], name: str = "rerun"
+        self, server: viser.ViserServer, emit: Callable[[Action], None], state: Callable[[], State], name: str = "rerun"
     ) -> None:
-        self._gui, self._emit, self._state = gui, emit, state
+        self._server, self._gui, self._emit, self._state = server, server.gui, emit, state
         self._folder = tempfile.TemporaryDirectory(prefix="collinea-")
         self._lock = threading.Lock()
         self._count = 0
@@ -32,7 +33,7 @@ class RerunPanel:
         self._panel: Any = None
         self._html: Any = None
         self._close = f"Close {name}"
-        close = gui.add_command(self._close, description="Close the panel with rerun's viewer.")
+        close = self._gui.add_command(self._close, description="Close the panel with rerun's viewer.")
         close.on_trigger(lambda _: self._hide())  # type: ignore[attr-defined]
 
     def open(self, client: viser.ClientHandle | None = None) -> None:
@@ -77,19 +78,21 @@ class RerunPanel:
         done.sort(key=lambda o: o.image != state.image)
         self._count += 1
         path = Path(self._folder.name) / f"recording-{self._count}.rrd"
-        record(path, state.block, done, {name: photo.pane for name, photo in state.assets.photos.items()}, _truth(state))
+        photos = {name: photo.pane for name, photo in state.assets.photos.items()}
+        record(path, state.block, done, photos, _truth(state), shown(state))
         if self._serving is not None:
             self._serving.close()
         self._serving = serve(path)
         return self._serving.url
 
     def _show(self, url: str) -> None:
+        url += f"&theme={'dark' if self._state().view.dark else 'light'}"
         if self._panel is None:
             self._panel = self._gui.add_panel()
             with self._panel.add_tab("rerun"):
                 self._html = self._gui.add_html("")
             self._panel.dock_left()
-            self._panel.set_width(520)
+            self._panel.set_width(width_beside([c.camera.image_width for c in self._server.get_clients().values()]))
             with self._panel.add_tab("Close"):
                 self._gui.add_button(self._close, hint="Close the panel with rerun's viewer.").on_click(lambda _: self._hide())
         self._html.content = (
@@ -109,6 +112,11 @@ class RerunPanel:
             if self._serving is not None:
                 self._serving.close()
             self._folder.cleanup()
+
+
+def width_beside(canvases: Sequence[int]) -> int:
+    """Width [px] of the panel beside canvases so wide: less than half of the narrowest, where there is room for it."""
+    return int(min(max(0.45 * min(canvases, default=0), 520), 1000))
 
 
 def _truth(state: State) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import logging
 import tempfile
 import threading
@@ -17,6 +16,7 @@ from .. import export, share
 from ..actions import Say
 from ..mosaic_actions import WriteMosaic
 from ..mosaic_state import Mosaic
+from ..picture_words import finished
 from ..state import State
 from ..tabs import Desk, Tab, whole_scene
 from .widgets import BOX, MUTED, QUIET, Html, esc
@@ -25,7 +25,10 @@ PICTURE = (2160, 3840)
 """Height and width of the picture, pixels: 4K."""
 MOSAIC, LARGEST = "mosaic.tif", 2**30
 """The mosaic's file in the project's folder; bytes of it handed to a browser at most."""
-TERMINAL = "collinea export PROJECT --html replay.html --rrd run.rrd --png scene.png --csv tables --zip project.zip"
+TERMINAL = (
+    "collinea export PROJECT --html replay.html --rrd run.rrd --png scene.png --csv tables --glb scene.glb --ply scene.ply "
+    "--tif mosaic.tif --zip project.zip"
+)
 
 
 class SharePanel:
@@ -40,23 +43,27 @@ class SharePanel:
                 lambda _: share.replay_html(desk.state()).encode("utf-8"),
             ),
             "Recording as RRD": ("rrd", "Every solution for rerun's viewer, with its timeline.", lambda _: self._recording()),
-            "Picture as PNG": ("png", "The scene as you see it, 3840 × 2160 pixels.", picture),
+            "Picture as PNG": ("png", "The scene as you see it, with its legend, 3840 × 2160 pixels.", self._picture),
             "Tables as CSV": (
                 "tables.zip",
-                "Points, images and orientations; metres, degrees, pixels.",
+                "Points, images, observations, orientations, residuals, iterations, bundle; metres, degrees, pixels.",
                 lambda _: share.tables_zip(desk.state()),
             ),
             "Scene as GLB": (
                 "glb",
                 "What is shown as binary glTF, in metres from the scene's origin.",
-                lambda _: export.glb(whole_scene(desk.state())),
+                lambda _: export.glb(whole_scene(desk.state()), export.where(desk.state())),
             ),
             "Scene as PLY": (
                 "ply",
                 "Terrain, planes and frustums as one coloured mesh, in metres from the scene's origin.",
-                lambda _: export.ply(whole_scene(desk.state())),
+                lambda _: export.ply(whole_scene(desk.state()), export.where(desk.state())),
             ),
-            "Project as ZIP": ("zip", "The project folder as saved, photos included, in one file.", lambda _: self._project()),
+            "Project as ZIP": (
+                "zip",
+                "The project as saved, all its photos and this session, in one file.",
+                lambda _: self._project(),
+            ),
         }
         for label, (kind, hint, make) in ways.items():
             button = desk.gui.add_button(label, hint=hint, color=QUIET)
@@ -87,6 +94,10 @@ class SharePanel:
             return
         client.send_file_download(f"{file_name(self._desk.state())}.{kind}", data)
 
+    def _picture(self, client: viser.ClientHandle) -> bytes:
+        """The scene from where this browser looks, PNG."""
+        return finished(client.get_render(*PICTURE, transport_format="png", timeout=60), self._desk.state())
+
     def _recording(self) -> bytes:
         with tempfile.TemporaryDirectory(prefix="collinea-") as folder:
             path = Path(folder) / "recording.rrd"
@@ -115,16 +126,6 @@ class SharePanel:
             self._desk.emit(Say(f"The mosaic is too large for a browser; it lies in the project: {file}"))
         else:
             client.send_file_download(f"{file_name(self._desk.state())}.tif", file.read_bytes())
-
-
-def picture(client: viser.ClientHandle) -> bytes:
-    """The scene from where this browser looks, PNG."""
-    from PIL import Image
-
-    pixels = client.get_render(*PICTURE, transport_format="png", timeout=60)
-    out = io.BytesIO()
-    Image.fromarray(pixels).save(out, "PNG")
-    return out.getvalue()
 
 
 def file_name(state: State) -> str:

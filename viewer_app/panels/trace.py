@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import viser
 
-from solvers.adjustment import Iteration
-
 from ..actions import GoTo, Play, Speed, Step
-from ..bundle_scene import alone, ink
-from ..bundle_state import Bundle
 from ..figures import CORRELATION, ELEMENTS, FIGURES, RESIDUALS, ChooseFigure, Figure
 from ..kept_run import KeepRun, kept_of, scene
-from ..scene import pale
-from ..state import MODELS, State
+from ..state import State
 from ..tabs import Command, Desk, Tab
-from ..theme import MODELS as COLOURS
-from ..theme import Colour
+from ..traces import row_words, traces
 from .figures import correlation_html, elements_html, residuals_html
 from .plots import Curve, plot
 from .widgets import BOX, MUTED, Html, bind, prop, put, swatch
@@ -93,48 +86,24 @@ class TracePanel:
 
     def _rows(self, state: State) -> str:
         lines = []
-        for name, rows, colour in _traces(state):
-            row = rows[min(state.row, len(rows) - 1)]
-            end = f" · {_stop(row.stop)}" if row.stop else ""
-            sigma0 = f"{row.sigma0:.4g}" if row.sigma0 == row.sigma0 else "–"
-            lines.append(
-                f"<div>{swatch(colour)}{name} row {row.index}: σ0 {sigma0}, cost {row.cost:.5g}"
-                f"<span {MUTED}>{end}</span></div>"
-            )
+        for name, rows, colour in traces(state):
+            words, stop = row_words(name, rows[min(state.row, len(rows) - 1)])
+            end = f"<span {MUTED}> · {stop}</span>" if stop else ""
+            lines.append(f"<div>{swatch(colour)}{words}{end}</div>")
         playing = "<div>playing ▶</div>" if state.playing else ""
         return "".join(lines) + playing or f"<div {MUTED}>{NOTHING}</div>"
 
     def _plots(self, state: State) -> str:
-        traces = _traces(state)
-        if not traces:
+        found = traces(state)
+        if not found:
             return ""
 
         drawn = []
         for title, name in PLOTS:
-            curves = [Curve(n, np.array([getattr(r, name) for r in rows], float), colour) for n, rows, colour in traces]
-            last = max(len(rows) for _, rows, _ in traces) - 1
+            curves = [Curve(n, np.array([getattr(r, name) for r in rows], float), colour) for n, rows, colour in found]
+            last = max(len(rows) for _, rows, _ in found) - 1
             drawn.append(plot(title, curves, min(state.shown_row, last), last, self._button))
         return f'<div style="margin-top:6px;display:flex">{"".join(drawn)}</div>'
-
-
-def _traces(state: State) -> list[tuple[str, Sequence[Iteration], Colour]]:
-    """Name, rows and colour of the chosen image's traces, and of the bundle or, where it is drawn alone, only of that."""
-    room = state.room(Bundle)
-    bundle = [("bundle", room.rows, ink(state))] if room.rows else []
-    if alone(state):
-        return list(bundle)
-    kept = [(f"{m} kept", s.rows, pale(COLOURS[m], state.view.dark)) for m, s in kept_of(state).items()]
-    return [*((m, s.rows, COLOURS[m]) for m in MODELS if (s := state.solution(m)) and s.rows), *kept, *bundle]
-
-
-def _stop(reason: str) -> str:
-    return {
-        "step": "converged (step)",
-        "gradient": "converged (gradient)",
-        "cost": "converged (cost)",
-        "max_iterations": "stopped: too many iterations",
-        "diverged": "diverged",
-    }.get(reason, reason)
 
 
 def _heard_row(state: State, value: Any) -> GoTo | None:
