@@ -20,7 +20,7 @@ from .tabs import wanted_tasks, whole_scene
 from .tasks import Task
 
 KINDS = ("html", "rrd", "png", "csv", "glb", "ply", "tif", "zip")
-"""The ways out, in the order in which they are written."""
+"""The ways out, in the order in which they are written; `solvers.cli_project.EXPORTS` offers them."""
 SOURCES = ("project.toml", "points.csv", "observations.csv", "truth.json", NAME)
 
 
@@ -34,7 +34,7 @@ def export(folder: Path, wishes: Mapping[str, Path]) -> tuple[list[Path], list[s
     check_targets(folder, opened, wishes)
     written: list[Path] = []
     failed: list[str] = []
-    state = opened if set(wishes) == {"zip"} else settled(resume(opened), wishes)
+    state = opened if set(wishes) == {"zip"} else settled(resume(opened))
     for kind in KINDS:
         if kind in wishes:
             try:
@@ -47,16 +47,15 @@ def export(folder: Path, wishes: Mapping[str, Path]) -> tuple[list[Path], list[s
     return written, failed
 
 
-def settled(state: State, wishes: Mapping[str, Path] | None = None) -> State:
+def settled(state: State) -> State:
     """The state with everything read and solved that it asks for: orientations, and where it was there before, the bundle and
-    the mosaics. wishes: a mosaic is made where it is wished for."""
-    from .mosaic_actions import MakeMosaic
-    from .mosaic_state import METHODS, Mosaic
-
+    the mosaics."""
     for action in bring(state):
         state = update(state, action)
-    if "tif" in (wishes or ()) and not state.room(Mosaic).wanted:
-        state = update(state, MakeMosaic(METHODS[0]))
+    return _solved(state)
+
+
+def _solved(state: State) -> State:
     tried: set[object] = set()
     while tasks := [t for t in wanted_tasks(state) if t.key not in tried]:
         tried.add(tasks[0].key)
@@ -159,16 +158,19 @@ def _csv(state: State, folder: Path, out: Path) -> list[Path]:
 
 def _tif(state: State, folder: Path, out: Path) -> list[Path]:
     """The mosaic shown, at full resolution."""
-    from .mosaic_state import Mosaic
+    from .mosaic_actions import MakeMosaic
+    from .mosaic_state import METHODS, Mosaic
     from .mosaic_tasks import dem_of, files_of
     from .mosaic_work import write_work
 
+    if state.room(Mosaic).current is None:  # for this file alone: the scene of the others stays as it was left
+        state = _solved(update(state, MakeMosaic(METHODS[0])))
     room = state.room(Mosaic)
     made = room.current
     if made is None or not made.done:
         raise BadProject(f"{out}: there is no mosaic to write; {room.message or 'the project has no photos that overlap'}")
     files, dem = files_of(folder, made.block), dem_of(folder, made.block)
-    for _ in write_work(made.registration, files, out, made.ask, dem, made.block.crs):
+    for _ in write_work(made.registration, files, out, made.ask, dem, made.block.crs, careful=False):
         pass
     return [out]
 

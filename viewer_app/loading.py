@@ -64,11 +64,14 @@ def bring(state: State) -> Iterator[Brought | Say]:
     folder = state.assets.folder
     if folder is None:
         return
-    file = state.block.surface.get("file")
-    if file:
+    if state.block.surface.get("file"):
+        from solvers.io.photos import surface_path
+
         try:
-            yield Brought(terrain(folder / str(file), state.assets.frame, state.block.points.xyz))
-            yield Brought(read_surface(folder / str(file), _bounds(state.block.points.xyz)))
+            file = surface_path(folder, state.block)
+            assert file is not None
+            yield Brought(terrain(file, state.assets.frame, state.block.points.xyz))
+            yield Brought(read_surface(file, _bounds(state.block.points.xyz)))
         except PhotogrammetryError as error:
             yield Say(str(error))
     order = sorted(state.block.images, key=lambda image: image.name != state.image)

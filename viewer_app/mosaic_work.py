@@ -19,6 +19,7 @@ from solvers.workflows_mosaic import MosaicRequest, Offsets, point_offsets, regi
 
 from .following import followed
 from .mosaic_state import BLENDS, KINDS, PLANES, Ask, Tile
+from .uploads import in_the_way
 
 SIDE = 256
 """px of a tile's side as shown."""
@@ -127,8 +128,12 @@ def mosaic_work(
     yield Batch(tuple(batch), True)
 
 
-def write_work(registration: Registration, files: Mapping[str, Path], out: Path, ask: Ask, dem: str, crs: str) -> Iterator[str]:
-    """Words on how far the writing at full resolution is; last what was written."""
+def write_work(registration: Registration, files: Mapping[str, Path], out: Path, ask: Ask, dem: str, crs: str,
+               careful: bool = True) -> Iterator[str]:
+    """Words on how far the writing at full resolution is; last what was written. careful: no file is replaced but those of an
+    earlier mosaic. Raises BadProject."""
+    if careful and (file := in_the_way(out)) is not None:
+        raise BadProject(f"{file.name}: a file of this name is there that is no mosaic of this program's; give another name")
     if not out.parent.is_dir():
         raise BadProject(f"{out.parent}: there is no such folder; make it first or correct the path")
     request = replace(request_of(ask, dem).compose, crs=crs)

@@ -15,7 +15,7 @@ from .state import State
 from .theme import CHECK, CONTROL, background, foreground, legend
 from .traces import row_words, traces
 
-LINES = 56
+LINES = 46
 """Lines of text that would fill a picture's height."""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -56,3 +57,47 @@ def keep_map(folder: Path, name: str, content: bytes) -> str:
     else:
         raise BadProject(f"{folder / FOLDER} holds a thousand files named {stem}; remove some")
     return f"{FOLDER}/{path.name}"
+
+
+BESIDE = (".tfw", ".pgw", ".jgw", ".footprints.geojson", ".seams.geojson")
+"""What is written beside a mosaic."""
+OURS = b"Collinea"
+HEAD = 2**20
+"""Bytes of a file that are looked at."""
+
+
+def in_the_way(out: Path) -> Path | None:
+    """A file that a mosaic of this name would replace and that is not of an earlier mosaic; None where there is none.
+
+    A mosaic has its footprints beside it, a GeoTIFF among them also the name of this program in it.
+    """
+    there = [file for file in (out, *(out.with_suffix(end) for end in BESIDE)) if os.path.lexists(file)]
+    if not there:
+        return None
+    areas = [file for file in there if file.suffix == ".geojson"]
+    foreign = next((file for file in areas if not _is_areas(file)), None)
+    if foreign is not None:
+        return foreign
+    if not areas:
+        return there[0]
+    tiff = out.suffix.lower() in (".tif", ".tiff") and out in there
+    return out if tiff and not _is_ours(out) else None
+
+
+def _is_areas(file: Path) -> bool:
+    """Whether a file holds areas of images, as they are written beside a mosaic."""
+    try:
+        said = json.loads(file.read_bytes()) if file.is_file() and not file.is_symlink() else None
+        return bool(said["features"]) and all("image" in f["properties"] for f in said["features"])
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
+        return False
+
+
+def _is_ours(file: Path) -> bool:
+    """Whether a GeoTIFF was written by this program: its header comes first and names it."""
+    try:
+        with file.open("rb") as stream:
+            head = stream.read(HEAD)
+    except OSError:
+        return False
+    return is_tiff(head) and OURS in head

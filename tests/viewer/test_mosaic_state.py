@@ -286,9 +286,13 @@ def test_a_map_is_compared_and_its_shift_found(both: State, folder: Path) -> Non
     for outside in ("../x.tif", "a\0b.tif"):
         assert "within the project" in room(work(update(state, WriteMosaic(outside)))).message
     [photo, *_] = (folder / "images").glob("*.jpg")
-    before = photo.read_bytes()
-    said = room(work(update(state, WriteMosaic(f"images/{photo.name}")))).message
-    assert "the mosaic is made from this file" in said and photo.read_bytes() == before
+    assert "px of" in room(work(update(state, WriteMosaic("ours.tif")))).message  # an earlier mosaic may be replaced
+    (folder / "notes.tfw").write_text("mine")
+    (folder / "areas.footprints.geojson").write_text("[]")
+    for name in (f"images/{photo.name}", "map.tif", "words.tif", "notes.tif", "areas.png"):
+        before = {f: f.read_bytes() for f in folder.rglob("*") if f.is_file()}
+        assert "no mosaic of this program's" in room(work(update(state, WriteMosaic(name)))).message
+        assert {f: f.read_bytes() for f in folder.rglob("*") if f.is_file()} == before
     assert room(update(state, OpenLayer(""))).layer is None
     nothing = np.zeros((200, 200, 4), np.uint8)
     blank = offsets(Layer("x"), nothing, nothing, Grid((200, 200), (1, 0, 0, 0, -1, 0)))
