@@ -21,7 +21,7 @@ from solvers import Unsupported
 
 from .actions import Action, Say, Tick, update
 from .actions_solve import Failed, Rows, Solved
-from .bridge import LOCAL_HOSTS, Wire, controls, guard_values, open_server
+from .bridge import LOCAL_HOSTS, Wire, controls, dress_labels, guard_values, open_server
 from .desktop import Desktop, OpenedTab
 from .flying import Fly, asked_by, flight
 from .home import home, home_beside
@@ -269,6 +269,7 @@ class App:
         self._dark: bool | None = None
         gui.set_panel_label("Collinea")
         self._wire = Wire(server, self._heard)
+        dress_labels(server)
         self._desk = Desk(gui, server, self.emit, self._wire, lambda: self._state)
         self._tabs(gui)
         server.on_client_connect(self._came)

@@ -22,6 +22,7 @@ import viser
 
 from solvers import Unsupported
 
+from .label_script import SCRIPT as LABELS
 from .wire_script import SCRIPT
 
 KNOWN = "1.1."
@@ -246,6 +247,15 @@ async def operate(gui: viser.GuiApi, handle: Any, value: Any, client_id: int) ->
         await inner._handle_gui_updates(client_id, _messages.GuiUpdateMessage(handle._impl.uuid, {"value": value}))
         if not handle._impl.is_button:
             handle._impl.sync_cb(-1, {"value": value})  # the browser that asked does not know yet
+
+
+def dress_labels(server: viser.ViserServer) -> None:
+    """Labels in the colours of the theme, names that make room for each other; another version of viser draws them as it does."""
+    if known_version():
+        from viser import _messages
+
+        inner: Any = server
+        inner._websock_server.queue_message(_messages.RunJavascriptMessage(source=LABELS))
 
 
 def _response(status: HTTPStatus, why: str) -> Any:

@@ -358,9 +358,11 @@ def _add_label(scene: viser.SceneApi, path: str, value: Label) -> list[Any]:
 
 
 def _change_label(nodes: list[Any], old: Label, new: Label) -> bool:
-    if (old.size, old.anchor) != (new.size, new.anchor):
+    if old.anchor != new.anchor:
         return False
     node = nodes[0]
+    if old.size != new.size:
+        node.font_screen_scale = new.size
     if old.text != new.text:
         node.text = new.text
     node.position = new.position

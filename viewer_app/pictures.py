@@ -14,7 +14,7 @@ import numpy as np
 
 from solvers import Unsupported
 
-from .bridge import open_server
+from .bridge import dress_labels, open_server
 from .home import home, home_alone
 from .paint_viser import Painter
 from .picture_words import finished
@@ -46,7 +46,9 @@ def scene_png(state: State, size: tuple[int, int] = SIZE) -> bytes:
     try:
         server.scene.set_up_direction("+z")
         server.scene.world_axes.visible = False
+        dress_labels(server)
         server.scene.configure_default_lights(cast_shadow=False)
+        server.gui.configure_theme(dark_mode=state.view.dark)
         camera = server.initial_camera
         (camera.position, camera.look_at), camera.far = home_alone(state, *VIEW, FOV, LEGEND), home(state)[2]
         camera.near, camera.fov = camera.far / 20000, FOV

@@ -119,12 +119,17 @@ class Overlay:
 
 @dataclass(frozen=True, eq=False)
 class Label:
-    """Text at a position, of constant size on the screen."""
+    """Text at a position, of constant size on the screen. One that stands on its place is a name, which may have to make room for
+    a larger one; any other is said in words that are never hidden (scale, exaggeration, north)."""
 
     text: str
     position: np.ndarray
     size: float = 1.0
-    anchor: Literal["bottom-left", "bottom-center"] = "bottom-left"
+    anchor: Literal["bottom-left", "bottom-center", "center-left", "center-center", "top-left"] = "bottom-left"
+
+    @property
+    def words(self) -> bool:
+        return not self.anchor.startswith("bottom")
 
 
 def frustum_corners(value: Frustum) -> np.ndarray:
