@@ -10,17 +10,18 @@ from solvers.adjustment import Iteration
 from . import theme
 from .acting import Action
 from .actions import ChooseImage, ChoosePoint
-from .bundle_rows import Misfit, given_places, image_number, inner_extent, misfit, point_rms, ray_counts
+from .bars import bar, corner, fitting, said
+from .bundle_rows import Misfit, given_places, image_number, misfit, point_rms, ray_counts
 from .bundle_state import COLOURED, FACTORS, Bundle
 from .bundle_values import Judged, Layout
 from .ground import nice, site, symbol_size
 from .kept import by_identity
 from .matching_scene import RAYS, SCALE, UNKNOWN
-from .mosaic_scene import below
-from .scene import CHI_95, MANY, pale
+from .mosaic_scene import bars_drawn
+from .scene import CHI_95, MANY, image_name, pale
 from .state import State
 from .theme import Colour
-from .values import Ellipsoids, Frusta, Frustum, Label, PointCloud, Scene, Segments, frusta_corners
+from .values import Ellipsoids, Frusta, Frustum, PointCloud, Scene, Segments, frusta_corners
 
 DRAWN = 200_000
 """Object points drawn at most, evenly chosen."""
@@ -51,7 +52,7 @@ def scene(state: State) -> Scene:
         found |= _vectors(state, room.layout, room.block, row)
     if room.draw_ellipsoids and judged(state) is not None:
         found |= _ellipsoids(state, room.layout, row)
-    return found | _scales(state)
+    return found | bars(state)
 
 
 def judged(state: State) -> Judged | None:
@@ -135,8 +136,7 @@ def _images(state: State, room: Bundle, layout: Layout, row: Iteration) -> Scene
         for k, name in enumerate(layout.images):
             if k == chosen or len(layout.images) <= MANY:
                 at = centres[k] + np.array([0, 0, 0.35 * depth])
-                size = 1.15 if k == chosen else 0.9
-                found[f"/bundle/names/{name.replace('/', '_')}"] = Label(name, at, size, "bottom-center")
+                found[f"/bundle/names/{name.replace('/', '_')}"] = image_name(name, at, k == chosen)
     return found
 
 
@@ -325,33 +325,18 @@ def _ellipsoid_batch(centres: np.ndarray, covariance: np.ndarray, factor: float,
     return Ellipsoids(centres[good], axes, factor * np.sqrt(np.clip(values, 1e-18, None)), colour, 0.3)
 
 
-def _scales(state: State) -> Scene:
+def bars(state: State) -> Scene:
     """What the exaggerated lengths are worth: a bar for the vectors, one for the ellipsoids, with words."""
     room, found = state.room(Bundle), Scene()
-    low, high = site(state)
-    if room.layout is not None and room.rows and len(room.layout.points):
-        spread = inner_extent(room.layout, room.rows[-1 if room.result else 0])
-        low, high = np.minimum(low, spread[0]), np.maximum(high, spread[1])
-    span = float((high - low)[:2].max())
     lines = []
-    of = offsets(_at_last(state)) if room.rows else None
+    if room.at(state.row) is None or room.layout is None or room.block is None:
+        return found
+    of = offsets(_at_last(state))
     if room.draw_vectors and of is not None and np.abs(of[3][np.concatenate(of[:2])]).max(initial=0.0) > 1e-9:
         lines.append(("vectors", vector_factor(state), ": corrections of control, check errors"))
     if room.draw_ellipsoids and judged(state) is not None:
         lines.append(("ellipsoids", ellipsoid_factor(state), ": 95 % ellipsoids, a priori"))
-    first, step = np.array([low[0] + 0.6 * (high[0] - low[0]), low[1] - 0.12 * span, high[2]]), 0.08 * span
-    if (free := below(state)) is not None:  # below the mosaic's own, never across them
-        first, step = free[0], 0.08 * free[1]
-    for k, (name, factor, words) in enumerate(lines):
-        length = nice(max(span / 6 / factor, 1e-9))
-        begin = first - np.array([0, k * step, 0])
-        end, tick = begin + np.array([factor * length, 0, 0]), np.array([0, 0.015 * span, 0])
-        bar = np.array([[begin, end], [begin - tick, begin + tick], [end - tick, end + tick]])
-        found[f"/bundle/scale/{name}"] = Segments(bar, theme.foreground(state.view.dark), 2.0)
-        text = f"{_length(length)}{words} (× {factor:g})"
-        found[f"/bundle/scale/{name}_label"] = Label(text, end + np.array([0.02 * span, 0, 0]), 0.9)
+    for k, (name, factor, words) in enumerate(lines, 1 + bars_drawn(state)):
+        length = fitting(corner(state)[1], factor)
+        found |= bar(state, f"/bundle/scale/{name}", k, factor * length, f"{said(length)}{words} (× {factor:g})")
     return found
-
-
-def _length(metres: float) -> str:
-    return f"{metres:g} m" if metres >= 1 else f"{100 * metres:g} cm" if metres >= 0.01 else f"{1000 * metres:g} mm"

@@ -161,4 +161,4 @@ def _scale(at: np.ndarray, factor: float, state: State) -> Scene:
     bar = np.array([[begin, end], [begin - tick, begin + tick], [end - tick, end + tick]])
     words = f"{1e3 * length:g} mm of movement ({factor:g} times)"
     return {"/epochs/scale/bar": Segments(bar, theme.foreground(state.view.dark), 2.0),
-            "/epochs/scale/label": Label(words, end + np.array([0.05 * factor * length, 0, 0]), 0.9)}
+            "/epochs/scale/label": Label(words, end + np.array([0.05 * factor * length, 0, 0]), 0.9, "center-left")}

@@ -1,4 +1,4 @@
-"""The ground of the scene, pure: terrain or plane, grid, north arrow, scale bar, and the ground control points."""
+"""The ground of the scene, pure: terrain or plane, grid, and the ground control points."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from solvers import Block
 from solvers.block import Points
 
 from . import theme
@@ -14,7 +15,7 @@ from .bundle_state import Bundle
 from .kept import by_identity
 from .matching_state import Matching
 from .mosaic_state import Mosaic, in_frame
-from .state import MODELS, Assets, State, Terrain
+from .state import Assets, State, Terrain
 from .values import Label, Mesh, Plane, PointCloud, Scene, Segments
 
 
@@ -61,21 +62,12 @@ def _instead(state: State) -> np.ndarray:
     return state.assets.frame.to_local(np.array(priors, float).reshape(-1, 3)) if priors else np.empty((0, 3))
 
 
-def ground(state: State, vectors: float | None) -> Scene:
-    """Terrain or a plane at the mean height of the points, a grid in metres, north and a scale bar. vectors: exaggeration of
-    the residuals drawn, None where only the ground is."""
+def ground(state: State) -> Scene:
+    """Terrain or a plane at the mean height of the points, and a grid in metres."""
     low, high, span = _drawn(state)
-    cell = nice(span / 8)
+    cell, level = nice(span / 8), ground_level(state)
     found: Scene = {}
     terrain = state.assets.terrain
-    if terrain is not None:
-        level = float(terrain.vertices[:, 2].min()) - 0.02 * span
-    else:
-        heights = known_points(state.assets, state.block.points)[:, 2]
-        heights = heights if len(heights) else _instead(state)[:, 2]
-        given = state.assets.level
-        level = given if given is not None else float(heights.mean()) if len(heights) else 0.0
-        level -= lowered(state)
     x0, x1, y0, y1 = _lines(low, high, cell)
     if state.view.terrain:
         if terrain is not None:
@@ -84,16 +76,27 @@ def ground(state: State, vectors: float | None) -> Scene:
             corners = np.array([[x0, y0, level], [x1, y0, level], [x1, y1, level], [x0, y1, level]])
             found["/ground/plane"] = Plane(corners, theme.INITIAL, 0.12)
     fine = (70, 74, 80) if state.view.dark else (208, 212, 216)
-    found["/ground/grid"] = Segments(_grid(x0, x1, y0, y1, cell, level), fine, 1.0)
-    return found | _north(state, x0, x1, y0, y1, level, cell, vectors)
+    return found | {"/ground/grid": Segments(_grid(x0, x1, y0, y1, cell, level), fine, 1.0)}
 
 
-def drawn_ground(state: State) -> np.ndarray:
-    """Corners (4, 3) m of what is drawn of the ground, north arrow and scale bar included."""
+def ground_level(state: State) -> float:
+    """Height (m) of the grid."""
+    terrain = state.assets.terrain
+    if terrain is not None:
+        return float(_box(terrain)[0][2]) - 0.02 * _drawn(state)[2]
+    heights = known_points(state.assets, state.block.points)[:, 2]
+    heights = heights if len(heights) else _instead(state)[:, 2]
+    given = state.assets.level
+    level = given if given is not None else float(heights.mean()) if len(heights) else 0.0
+    return level - lowered(state)
+
+
+def drawn_ground(state: State) -> tuple[np.ndarray, np.ndarray, float]:
+    """Corners (2,) low and high of the grid and its cell, m."""
     low, high, span = _drawn(state)
     cell = nice(span / 8)
     x0, x1, y0, y1 = _lines(low, high, cell)
-    return np.array([[x, y, low[2]] for x in (x0, x1 + cell) for y in (y0 - 0.7 * cell, y1)])
+    return np.array([x0, y0]), np.array([x1, y1]), cell
 
 
 def _drawn(state: State) -> tuple[np.ndarray, np.ndarray, float]:
@@ -123,40 +126,6 @@ def _grid(x0: float, x1: float, y0: float, y1: float, cell: float, z: float) -> 
     return np.array(along_y + along_x)
 
 
-def _north(state: State, x0: float, x1: float, y0: float, y1: float, z: float, cell: float, vectors: float | None) -> Scene:
-    ink = theme.foreground(state.view.dark)
-    x, tip, head = x1 + 0.6 * cell, y1, 0.25 * cell
-    foot = tip - 1.6 * cell
-    arrow = np.array(
-        [
-            [(x, foot, z), (x, tip, z)],
-            [(x, tip, z), (x - head, tip - 1.6 * head, z)],
-            [(x, tip, z), (x + head, tip - 1.6 * head, z)],
-            [(x - head, foot, z), (x + head, foot, z)],
-        ]
-    )
-    y, tick = y0 - 0.5 * cell, 0.15 * cell
-    bar = np.array([[(x0, y, z), (x0 + cell, y, z)], *([[(x0 + d, y - tick, z), (x0 + d, y + tick, z)] for d in (0, cell)])])
-    found: Scene = {"/ground/north": Segments(arrow, ink, 2.5), "/ground/scale": Segments(bar, ink, 2.5)}
-    if state.view.labels:
-        found["/ground/north_label"] = Label("N", np.array([x, tip + 0.35 * cell, z]), 1.3)
-        found["/ground/scale_label"] = Label(scales(state, cell, vectors), np.array([x0 + 1.15 * cell, y, z]))
-    return found
-
-
-def scales(state: State, cell: float, vectors: float | None) -> str:
-    """The scale bar in words, with every exaggeration that is drawn."""
-    view = state.view
-    words = [f"{cell:g} m"]
-    if vectors is None:
-        return words[0]
-    if view.residuals and any((s := state.solution(m)) and s.rows for m in MODELS):
-        words.append(f"residuals × {vectors:g}")
-    if view.ellipsoids and view.ellipsoid > 0:
-        words.append(f"95 % ellipsoids × {view.ellipsoid:g}")
-    return ", ".join(words)
-
-
 def lowered(state: State) -> float:
     """How much lower (m) the ground is drawn, so that symbols and residuals on its slopes stay visible."""
     return 0.5 * symbol_size(state)
@@ -180,10 +149,10 @@ def _spacing(xyz: bytes) -> float:
     return float(np.median(apart.min(axis=1)))
 
 
-NAMES, APART = 300, 0.1
-"""Names of points drawn at most; of the site's width: how far apart those of many points are."""
-CROWD = 24
-"""Points up to which every one is named, however close together."""
+NAMES = 400
+"""Names of points that a scene has at most; the page draws those of them that leave each other room."""
+SMALL, SEEN, CHOSEN = 0.8, 0.88, 1.0
+"""Sizes of names: of any point, of one that the chosen image has measured, of the chosen one. The larger keeps its place."""
 
 
 @by_identity(4)
@@ -244,26 +213,46 @@ def points(state: State) -> Scene:
         if np.isfinite(at).all():
             found["/points/chosen"] = Segments(_symbols(at, 1.7 * size, 32)[3:], theme.foreground(state.view.dark), 3.0)
     if state.view.labels:
-        for j in _named(state.assets, block.points, state.point):
-            name = block.points.names[j]
-            found[f"/points/names/{name.replace('/', '_')}"] = Label(name, xyz[j] + [size, size, 0], 0.7)
+        found |= _names(state.assets, block, state.image, state.point, size)
     return found
 
 
 @by_identity(4)
-def _named(assets: Assets, points: Points, chosen: str | None) -> list[int]:
-    """The control and check points whose names are drawn: the chosen one, and of many only such as leave each other room."""
+def _names(assets: Assets, block: Block, image: str, chosen: str | None, size: float) -> Scene:
+    """The names, beside symbols of a radius [m]."""
+    xyz, names = _local(assets, block.points), block.points.names
+    drawn = _named(assets, block, image, chosen)
+    return {f"/points/names/{names[j].replace('/', '_')}": Label(names[j], xyz[j] + [size, size, 0], k) for j, k in drawn.items()}
+
+
+def _named(assets: Assets, block: Block, image: str, chosen: str | None) -> dict[int, float]:
+    """The control and check points that have their names drawn, and how large: of many the chosen one, those that the chosen
+    image has measured, and others, the farthest apart first."""
+    ranked = _spread(assets, block.points)
+    known = any(i.name == image for i in block.images)
+    rows = block.seen_in(image, ("control", "check")) if known else np.zeros(0, int)
+    seen = np.isin(ranked, block.observations.point[rows])
+    first = [j for j in ranked if block.points.names[j] == chosen]
+    order = [*first, *ranked[seen], *ranked[~seen]]
+    size = dict.fromkeys(map(int, ranked[seen]), SEEN) | dict.fromkeys(map(int, first), CHOSEN)
+    return {j: size.get(j, SMALL) for j in list(dict.fromkeys(map(int, order)))[:NAMES]}
+
+
+@by_identity(2)
+def _spread(assets: Assets, points: Points) -> np.ndarray:
+    """Control and check points (n,) by number such that the first of them always lie far apart: those that are the first in a
+    square of a coarse net, then of nets ever finer."""
     xyz, kinds = _local(assets, points), _by_role(points)
-    rows = [int(j) for j in (*kinds["control"], *kinds["check"]) if np.isfinite(xyz[j]).all()]
-    if len(rows) <= CROWD:
-        return rows
+    rows = np.concatenate([kinds["control"], kinds["check"]])
+    rows = rows[np.isfinite(xyz[rows]).all(axis=1)]
     low, high = _extent(assets, points) or (np.zeros(3), np.ones(3))
-    room = APART * float((high - low)[:2].max())
-    found: list[int] = []
-    for j in sorted(rows, key=lambda j: points.names[j] != chosen):
-        if len(found) < NAMES and (not found or np.linalg.norm(xyz[found, :2] - xyz[j, :2], axis=1).min() > room):
-            found.append(j)
-    return found
+    at = (xyz[rows, :2] - low[:2]) / max(float((high - low)[:2].max()), 1e-9)
+    rank = np.full(len(rows), 99)
+    for level in range(1, 10):
+        square = np.floor(at * 2**level).astype(int)
+        first = np.unique(square[:, 0] * 1025 + square[:, 1], return_index=True)[1]
+        rank[first] = np.minimum(rank[first], level)
+    return rows[np.argsort(rank, kind="stable")]
 
 
 def _symbols(at: np.ndarray, size: float, corners: int) -> np.ndarray:

@@ -6,11 +6,15 @@ import numpy as np
 
 from solvers import Exterior
 
+from .bars import furniture
+from .bundle_scene import bars as bundle_bars
 from .ground import drawn_ground, site
 from .matching_state import Matching
-from .scene import MANY, centres
+from .mosaic_scene import bars as mosaic_bars
+from .scene import MANY, centres, vector_scale
 from .sighting import position, prior
 from .state import MODELS, State
+from .values import Label, Segments
 
 WAY = np.array([0.5, -1.0, 0.5]) / np.sqrt(1.5)
 """From what is looked at to the eye (3,): from the south, high enough to see ground and cameras."""
@@ -22,9 +26,13 @@ WIDE = 700
 """Pixels beside the panel from which on the whole terrain is shown at first, not the site alone."""
 
 
+LETTER, ROW = 6.5, 15.0
+"""Width of a letter and height of a row of words of size 1, pixels."""
+
+
 def home(state: State) -> tuple[np.ndarray, np.ndarray, float]:
     """Position (3,), point looked at (3,) and far plane [m], where nothing lies over the scene and its shape is not known."""
-    corners = _seen(state)
+    corners = np.vstack([_seen(state), _measures(state)[0]])
     low, high = corners.min(axis=0), corners.max(axis=0)
     middle, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)
     return middle + 2.95 * radius * WAY, middle, 40 * radius
@@ -35,31 +43,45 @@ def home_beside(state: State, width: float, height: float, fov: float) -> tuple[
     larger. width, height: of the canvas, pixels of the page; fov: vertical [rad]."""
     half = np.array([width, height]) / 2
     places = [(np.array([left, low]) + RIM - half, half - [WORDS, SKY]) for left, low in ((PANEL, 0), (0, LOW))]
-    free = [(a, b) for a, b in places if (b - a > 120).all()] or [(0.1 - half, half - 0.1)]
-    return _placed(_seen(state, width > PANEL + WIDE), height, fov, free)
+    return _placed(state, width > PANEL + WIDE, (width, height), fov, places)
 
 
 def home_alone(state: State, width: float, height: float, fov: float, left: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """The same in a picture of its own; left: pixels kept free there, for a legend."""
     half = np.array([width, height]) / 2
-    return _placed(_seen(state), height, fov, [(np.array([left, 0.0]) + RIM - half, half - [WORDS, SKY])])
+    return _placed(state, True, (width, height), fov, [(np.array([left, 0.0]) + RIM - half, half - [WORDS, SKY])])
 
 
-def _placed(corners: np.ndarray, height: float, fov: float, free: list[tuple[np.ndarray, np.ndarray]]
+def _placed(state: State, whole: bool, size: tuple[float, float], fov: float, places: list[tuple[np.ndarray, np.ndarray]]
             ) -> tuple[np.ndarray, np.ndarray]:
-    """Position and point looked at from which corners (n, 3) m fit into one of the rectangles, that which shows them larger."""
+    """Position and point looked at from which all there is fits into one of the rectangles, that which shows it larger, or onto
+    the whole canvas where none of them has room for its words."""
+    corners, (bars, beside) = _seen(state, whole), _measures(state)
+    corners, beside = np.vstack([corners, bars]), np.concatenate([np.zeros((len(corners), 2)), beside])
+    half = np.array(size) / 2
+    free = [(a, b) for a, b in places if (b - a > np.maximum(120, 40 + beside.max(axis=0))).all()] or [(0.1 - half, half - 0.1)]
     middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
     right = np.cross(-WAY, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     seen = (corners - middle) @ np.column_stack([right, np.cross(right, -WAY), -WAY])  # right, up, away
-    focal = height / 2 / np.tan(fov / 2)
-    distance, moved = min((_fitted(seen, focal, a, b) for a, b in free), key=lambda found: found[0])
+    focal = size[1] / 2 / np.tan(fov / 2)
+    distance, moved = min((_fitted(seen, focal, a + [0, 1] * beside, b - [1, 0] * beside) for a, b in free), key=lambda f: f[0])
     at = middle + moved[0] * right + moved[1] * np.cross(right, -WAY)
     return at + distance * WAY, at
 
 
+def _measures(state: State) -> tuple[np.ndarray, np.ndarray]:
+    """Ends (n, 3) m of the bars and of the arrow north, and how much (n, 2) px their words need to the right and below."""
+    found = {**furniture(state, vector_scale(state)), **bundle_bars(state), **mosaic_bars(state)}
+    ends = np.concatenate([v.points.reshape(-1, 3) for v in found.values() if isinstance(v, Segments)])
+    words = [v for v in found.values() if isinstance(v, Label)]
+    sizes = [(LETTER * v.size * max(map(len, v.text.split("\n"))), 0.5 * ROW * v.size * len(v.text.split("\n"))) for v in words]
+    places = np.array([v.position for v in words]).reshape(-1, 3)
+    return np.vstack([ends, places]), np.concatenate([np.zeros((len(ends), 2)), np.array(sizes).reshape(-1, 2)])
+
+
 def _fitted(seen: np.ndarray, focal: float, low: np.ndarray, high: np.ndarray) -> tuple[float, np.ndarray]:
-    """Least distance at which places (n, 3) m, as right, up, away, fit between low and high (2,) px from the canvas's middle, y
+    """Least distance at which places (n, 3) m, as right, up, away, fit between low and high (n, 2) px from the canvas's middle, y
     up; and how far (2,) m right and up the eye is moved for it: one is drawn at focal * (place - moved) / (distance + away)."""
     size = max(float(np.ptp(seen, axis=0).max()), 1e-3)
 
@@ -84,7 +106,10 @@ def _seen(state: State, whole: bool = True) -> np.ndarray:
     network = state.room(Matching).network
     at += [] if network is None else [e.centre for e in network.exteriors.values()]
     ground = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
-    return np.vstack([ground, *at, *([drawn_ground(state)] if whole else [])])
+    if not whole:
+        return np.vstack([ground, *at])
+    (x0, y0), (x1, y1), _ = drawn_ground(state)
+    return np.vstack([ground, *at, [[x, y, low[2]] for x in (x0, x1) for y in (y0, y1)]])
 
 
 def _known(state: State) -> list[Exterior]:

@@ -4,9 +4,10 @@ viser draws all labels as quads in two layers of one group, black on white. Befo
 in the theme's colours and says which labels are drawn:
 
 - words (anchored elsewhere than at their foot: scale bars, exaggerations, north) always are, and slide about as far as their own
-  size to stay on the canvas and clear of the panels that lie over it;
-- of names that would lie over each other or over words the larger one stays, of equals always the same one, wherever one looks
-  from; one that has gone comes back when it has a little room to spare, so that nothing flickers while the camera moves.
+  size to stay on the canvas, clear of the panels that lie over it and of each other, the longer ones round the shorter;
+- a name that would lie over words, or over a name that is larger or comes before it whatever one looks from, stands left of its
+  place or below, or is not shown; where it stands it stays as long as it can, and comes back only when it has a little room to
+  spare, so that nothing flickers while the camera moves.
 
 Where viser draws its labels in another way, nothing of this is done, and labels stay what viser makes of them.
 """
@@ -25,8 +26,8 @@ window.collineaLabels = (() => {
   const LOOK = LOOKS;
   const ink = {value: [0, 0, 0]}, paper = {value: [1, 1, 1, 0.85]};
   let group = null, drawn = [], panels = [], looked = 0;
-  const away = new Map();  // labels not shown, by number
-  const moved = new Map();  // where viser had the words that were moved, and where they are now
+  const stands = new Map();  // where each name stands of the spots it may have, -1: nowhere
+  const moved = new Map();  // where viser had the labels that were moved, and where they are now
   const find = scene => {
     let found = null;
     scene.traverse(o => { if (!found && o.renderOrder === BOX && o.material?.uniforms?.uLabelData) found = o.parent; });
@@ -86,7 +87,8 @@ window.collineaLabels = (() => {
     const free = (x, y) => [...blocked, ...taken].every(b => apart([x, y, x + w, y + h], b, 1));
     let tried = [on(box[0], box[1])];
     for (let turn = 0; turn < 3; turn++) {
-      const good = tried.filter(p => free(...p)).map(p => [Math.hypot(p[0] - box[0], p[1] - box[1]), ...p]).sort((a, b) => a[0] - b[0]);
+      const good = tried.filter(p => free(...p)).map(p => [Math.hypot(p[0] - box[0], p[1] - box[1]), ...p]);
+      good.sort((a, b) => a[0] - b[0]);
       if (good.length) return good[0][0] <= w + 2 * h ? good[0].slice(1) : null;
       const next = [];
       for (const [x, y] of tried.slice(0, 12)) for (const b of [...blocked, ...taken]) {
@@ -111,32 +113,41 @@ window.collineaLabels = (() => {
     };
     const take = b => cells(b, 0, c => { (grid.get(c) ?? grid.set(c, []).get(c)).push(b); });
     const room = (b, by) => cells(b, by, c => (grid.get(c) ?? []).every(o => apart(b, o, by)));
-    all.sort((a, b) => b.words - a.words || b.em - a.em || a.key[0] - b.key[0] || a.key[1] - b.key[1] || a.key[2] - b.key[2]);
+    const order = (a, b) => b.words - a.words || (b.em - a.em) * (a.words ? -1 : 1)
+      || a.key[0] - b.key[0] || a.key[1] - b.key[1] || a.key[2] - b.key[2];
+    const shift = (b, d) => [b[0] + d[0], b[1] + d[1], b[2] + d[0], b[3] + d[1]];
+    const put = (one, d) => {  // as far to the camera's right and up, at the same depth
+      if (d[0] || d[1]) {
+        const per = 2 * one.depth / (H * P[5]), from = [...data.subarray(one.at, one.at + 3)];
+        for (let i = 0; i < 3; i++) data[one.at + i] += per * (d[0] * V[4 * i] - d[1] * V[4 * i + 1]);
+        moved.set(one.n, {from, to: [...data.subarray(one.at, one.at + 3)]});
+        one.box = shift(one.box, d);
+      }
+      take(one.box);
+      now.push({...one, shown: true});
+    };
+    const beside = box => {  // where a name may stand: at its place, left of it, below, both
+      const w = box[0] - box[2] - 10, h = box[3] - box[1] + 8;
+      return [[0, 0], [w, 0], [0, h], [w, h]];
+    };
     moved.clear();
     const now = [];
-    for (const one of all) {
-      const seen = one.box[2] > 0 && one.box[0] < size[0] && one.box[3] > 0 && one.box[1] < size[1];
+    for (const one of all.sort(order)) {
       if (one.words) {
         const to = slide(one.box, taken, size, blocked);
-        if (to) {
-          const d = [to[0] - one.box[0], one.box[1] - to[1]];
-          if (d[0] || d[1]) {  // as far to the camera's right and up, at the same depth
-            const per = 2 * one.depth / (H * P[5]), from = [...data.subarray(one.at, one.at + 3)];
-            for (let i = 0; i < 3; i++) data[one.at + i] += per * (d[0] * V[4 * i] + d[1] * V[4 * i + 1]);
-            moved.set(one.n, {from, to: [...data.subarray(one.at, one.at + 3)]});
-            one.box = [to[0], to[1], to[0] + one.box[2] - one.box[0], to[1] + one.box[3] - one.box[1]];
-          }
-        }
+        put(one, to ? [to[0] - one.box[0], to[1] - one.box[1]] : [0, 0]);
         taken.push(one.box);
-        take(one.box);
-        away.delete(one.n);
-        now.push({...one, shown: true});
         continue;
       }
-      if (!seen) continue;
-      const shown = room(one.box, away.has(one.n) ? SPARE : 0);
-      if (shown) { take(one.box); away.delete(one.n); } else { data[one.at + 3] = GONE; away.set(one.n, 1); }
-      now.push({...one, shown});
+      if (one.box[2] < 0 || one.box[0] > size[0] || one.box[3] < 0 || one.box[1] > size[1]) continue;
+      const spots = beside(one.box), was = stands.get(one.n) ?? 0;
+      const fits = (k, by) => room(shift(one.box, spots[k]), by);
+      let k = was > 0 && fits(0, 4 * SPARE) ? 0 : was >= 0 && fits(was, 0) ? was : -1;
+      if (k < 0) k = [0, 1, 2, 3].findIndex(i => fits(i, SPARE));
+      stands.set(one.n, k);
+      if (k >= 0) { put(one, spots[k]); continue; }
+      data[one.at + 3] = GONE;
+      now.push({...one, shown: false});
     }
     if (own) drawn = now;
     u.uLabelData.value.needsUpdate = true;
@@ -167,7 +178,8 @@ window.collineaLabels = (() => {
   const again = new MutationObserver(() => window.__viserMutable?.requestRender());
   again.observe(document.documentElement, {attributes: true, attributeFilter: ['data-mantine-color-scheme']});
   return {
-    drawn: () => drawn.map(({box, em, words, shown}) => ({box, em, words, shown})), panels: () => panels, works: () => !!group && !broken,
+    drawn: () => drawn.map(({box, em, words, shown}) => ({box, em, words, shown})), panels: () => panels,
+    works: () => !!group && !broken,
     stop: () => { clearInterval(timer); again.disconnect(); broken = true; }
   };
 })();

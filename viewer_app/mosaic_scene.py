@@ -10,6 +10,7 @@ from solvers.mosaic import Registration, measure
 from solvers.mosaic.measured import Measured
 
 from . import theme
+from .bars import bar, corner, said
 from .ground import nice, site, symbol_size
 from .kept import by_identity
 from .mosaic_fade import faded
@@ -167,7 +168,7 @@ def _layer(state: State, room: Mosaic) -> Scene:
     factor = _factor(room, np.linalg.norm(layer.off, axis=1), state)
     up = np.array([0, 0, 2 * _hair(state)])
     found["/mosaic/layer/offsets"] = Segments(np.stack([at, at + factor * (end - at)], axis=1) + up, theme.RESIDUAL, 2.5)
-    return found | _scale(state, made, factor, "layer", f"{layer.name} minus mosaic", 2)
+    return found | _scale(state, made, factor, "layer", f"{layer.name} minus mosaic")
 
 
 def _on_plane(r: Registration, xy: np.ndarray) -> np.ndarray:
@@ -232,7 +233,7 @@ def _outlines(state: State, room: Mosaic, made: Made) -> Scene:
             np.stack([ring, np.roll(ring, -1, axis=0)], axis=1), theme.foreground(state.view.dark), 2.5
         )
         words = f"{high[0] - low[0]:.4g} x {high[1] - low[1]:.4g} {r.unit}, {len(at)} photos"
-        found[f"/mosaic/{made.ask.method}/box_label"] = Label(words, ring[3] + up, 0.9)
+        found[f"/mosaic/{made.ask.method}/box_label"] = Label(words, ring[3] + up, 0.9, "center-center")
     return found
 
 
@@ -329,7 +330,7 @@ def _drift(state: State, room: Mosaic) -> Scene:
     end = to_scene(state, made, _lifted(made.registration, at + factor * found.off.reshape(-1, 2)))
     up = np.array([0, 0, 3 * _hair(state)])
     out: Scene = {"/mosaic/drift/vectors": Segments(np.stack([start, end], axis=1) + up, theme.ORTHOGONAL, 3.0)}
-    return out | _scale(state, made, factor, "drift", "sequential minus simultaneous", 0)
+    return out | _scale(state, made, factor, "drift", "sequential minus simultaneous")
 
 
 def _residuals(state: State, room: Mosaic, made: Made) -> Scene:
@@ -348,51 +349,35 @@ def _residuals(state: State, room: Mosaic, made: Made) -> Scene:
             found[f"/mosaic/residuals/{role}"] = Segments(
                 lines + np.array([0, 0, 3 * _hair(state)]), theme.RESIDUAL if role == "control" else colour, 3.5
             )
-    return found | _scale(state, made, factor, "residuals", "mosaic minus known points", 1)
+    return found | _scale(state, made, factor, "residuals", "mosaic minus known points")
 
 
-def below(state: State) -> tuple[np.ndarray, float] | None:
-    """Where (3,) the next bar begins south of those of the mosaic, and the site's extent with it; None where none is drawn."""
+def bars(state: State) -> Scene:
+    """Those of the vectors that are drawn."""
+    room, made = state.room(Mosaic), state.room(Mosaic).current
+    if made is None or not bars_drawn(state):
+        return Scene()
+    every = (_drift(state, room) if room.drift else Scene()) | (_residuals(state, room, made) if room.residuals else Scene())
+    return {path: value for path, value in every.items() if path.startswith("/mosaic/scale/")}
+
+
+def bars_drawn(state: State) -> int:
+    """How many bars the mosaic's vectors have."""
     room = state.room(Mosaic)
     made = room.current
     if made is None or room.shown_row != room.last_row:
-        return None
-    drifts = room.drift and drift(room) is not None
-    residuals = room.residuals and len(made.points.off) > 0
-    return _south(state, room.made.get("simultaneous", made), 1 + residuals) if drifts or residuals else None
+        return 0
+    return bool(room.drift and drift(room) is not None) + bool(room.residuals and len(made.points.off))
 
 
-def _south(state: State, made: Made, line: int) -> tuple[np.ndarray, float]:
-    """Where (3,) a bar begins, and the extent of site and mosaic together."""
-    low, high = site(state)
-    ring = np.concatenate([made.registration.footprint(k) for k in range(len(made.registration.names))])
-    ring = to_scene(state, made, _lifted(made.registration, ring[np.isfinite(ring).all(axis=1)]))
-    low, high = np.minimum(low, ring.min(axis=0)), np.maximum(high, ring.max(axis=0))  # beside the mosaic, never under it
-    span = float((high - low)[:2].max())
-    plane = float(to_scene(state, made, _lifted(made.registration, np.zeros(2)))[2])
-    return np.array([low[0] + 0.45 * span, low[1] - (0.05 + 0.08 * line) * span, plane]), span
-
-
-def _scale(state: State, made: Made, factor: float, name: str, what: str, line: int) -> Scene:
-    """A bar south of the mosaic as long as a round residual, and its words."""
-    begin, span = _south(state, made, line)
-    unit = made.registration.unit
-    per = scale_of(state, made)
-    length = nice(max(span / 8 / factor / per, 1e-9))
-    end = begin + np.array([factor * length * per, 0, 0])
-    tick = np.array([0, 0.008 * span, 0])
-    bar = np.array([[begin, end], [begin - tick, begin + tick], [end - tick, end + tick]])
-    said = (
-        f"{length:g} {unit}"
-        if unit == "px" or length >= 1
-        else f"{1e3 * length:g} mm"
-        if length < 0.01
-        else f"{1e2 * length:g} cm"
-    )
-    return {
-        f"/mosaic/scale/{name}": Segments(bar, theme.foreground(state.view.dark), 2.0),
-        f"/mosaic/scale/{name}_label": Label(f"{said}: {what} × {factor:g}", end + np.array([0.01 * span, 0, 0]), 0.9),
-    }
+def _scale(state: State, made: Made, factor: float, name: str, what: str) -> Scene:
+    """A bar as long as a round residual, and its words: the drift's comes first, that of the map last."""
+    drifts = bool(state.room(Mosaic).drift and drift(state.room(Mosaic)) is not None)
+    line = {"drift": 1, "residuals": 1 + drifts}.get(name, 1 + bars_drawn(state) + 2)
+    unit, per = made.registration.unit, scale_of(state, made)
+    length = nice(max(corner(state)[1] / 8 / factor / per, 1e-9))
+    words = said(length) if unit == "m" else f"{length:g} {unit}"
+    return bar(state, f"/mosaic/scale/{name}", line, factor * length * per, f"{words}: {what} × {factor:g}")
 
 
 # -- measuring ----------------------------------------------------------------------------------------------------------------

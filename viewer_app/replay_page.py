@@ -9,7 +9,7 @@ import json
 import numpy as np
 
 from .actions import GoTo, update
-from .bridge import open_server
+from .bridge import dress_labels, open_server
 from .home import home, home_alone
 from .paint_viser import Painter
 from .panels.legend import legend_html
@@ -74,6 +74,7 @@ def replay_html(state: State) -> str:
     try:
         server.scene.set_up_direction("+z")
         server.scene.world_axes.visible = False
+        dress_labels(server)
         camera = server.initial_camera
         width, height, left = PAGE
         (camera.position, camera.look_at), camera.far = home_alone(state, width, height, FOV, left), home(state)[2]

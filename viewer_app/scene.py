@@ -13,6 +13,7 @@ from solvers.geometry.rotation import exp_many
 from solvers.orientation import Orientation
 
 from . import theme
+from .bars import furniture
 from .bundle_rows import exterior as bundled
 from .ground import ground, known_points, nice, points, site, symbol_size
 from .kept import by_identity
@@ -72,8 +73,8 @@ def scene(state: State, images: bool = True) -> Scene:
     """All that is to be seen; images: also those oriented one by one."""
     if not images:
         seen = {path: value for path, value in points(state).items() if path != "/points/tie"}
-        return {**ground(state, None), **seen, **spots(state)}
-    found: Scene = {**ground(state, vector_scale(state)), **points(state), **spots(state)}
+        return {**ground(state), **furniture(state, None), **seen, **spots(state)}
+    found: Scene = {**ground(state), **furniture(state, vector_scale(state)), **points(state), **spots(state)}
     depth = frustum_depth(state)
     if len(state.block.images) > MANY:
         return found | _many(state, depth) | _image(state, state.image, depth)
@@ -264,8 +265,13 @@ def _image(state: State, name: str, depth: float) -> Scene:
     at = place if somewhere is None else somewhere.centre
     up = 0.35 * depth if somewhere is not None else 1.4 * symbol_size(state)
     if view.labels and at is not None and (chosen or not view.compared):
-        found[f"{path}/label"] = Label(name, at + np.array([0, 0, up]), 1.15 if chosen else 0.9, "bottom-center")
+        found[f"{path}/label"] = image_name(name, at + np.array([0, 0, up]), chosen)
     return found | (_difference(state, path, depth) if chosen else {})
+
+
+def image_name(name: str, at: np.ndarray, chosen: bool) -> Label:
+    """An image's name over its frustum (3,); that of the chosen one is never hidden."""
+    return Label(name, at, 1.15, "center-center") if chosen else Label(name, at, 0.9, "bottom-center")
 
 
 def _start(state: State, name: str) -> Exterior | None:
@@ -377,8 +383,8 @@ def _difference(state: State, path: str, depth: float) -> Scene:
         found[key] = Segments(np.stack([one.centre, end])[None], ink, 3.0)
         if view.labels:
             drawn = "" if model == "orthogonal" else _ellipsoid_words(state, model)
-            words = f"{model} − perspective {length:.3f} m, drawn × {factor:g}{drawn}"
-            found[f"{key}_label"] = Label(words, one.centre + np.array([0, 0, up * depth]), 0.85, "bottom-center")
+            words = f"{model} − perspective\n{length:.3f} m, drawn × {factor:g}{drawn}"
+            found[f"{key}_label"] = Label(words, one.centre + np.array([0, 0, up * depth]), 0.85, "center-center")
             up += LINE
     return found
 

@@ -66,7 +66,7 @@ def spots(state: State) -> Scene:
         if state.view.labels:
             a, b = place.ellipse.semi_major_m, place.ellipse.semi_minor_m
             found[f"/spots/{number}/label"] = Label(
-                f"{number}: 95 % {a:.2g} × {b:.2g} m, × {factor:g}", at + size * np.array([1.0, 1.0, 2.0]), 0.9
+                f"{number}: 95 % {a:.2g} × {b:.2g} m, × {factor:g}", at + size * np.array([1.0, 1.0, 2.0]), 0.9, "center-left"
             )
     return found
 

@@ -272,7 +272,7 @@ def test_what_is_exaggerated_is_written_in_the_scene_beside_a_scale_bar(session:
     v.set_slider("Residuals ×", 120)
     v.set_slider("Ellipsoids ×", 30)
     until(app, v, lambda: (app.state.view.vectors, app.state.view.ellipsoid) == (120, 30), "both sliders")
-    v.wait_until(lambda: "m, residuals × 120, 95 % ellipsoids × 30" in written(v, "/ground/scale_label"), "the words")
+    v.wait_until(lambda: "m\nresiduals × 120\n95 % ellipsoids × 30" in written(v, "/ground/scale_label"), "the words")
     bar = points_of(v, "/ground/scale")
     assert np.isclose(np.ptp(bar[0], axis=0).max(), float(written(v, "/ground/scale_label").split(" m")[0]), rtol=1e-5)
     solution = app.state.solution("perspective")

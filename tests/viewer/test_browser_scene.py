@@ -25,6 +25,7 @@ from tests.viewer.sessions import (
 from viewer_app import theme
 from viewer_app.actions import Show
 from viewer_app.app import App
+from viewer_app.flying import Fly
 from viewer_app.ground import symbol_size
 from viewer_app.scene import scene
 from viewer_app.values import Segments
@@ -53,6 +54,54 @@ def test_the_demo_opens(session: Session) -> None:
     act(app, v, *(Show(name, False) for name in HEAVY))  # seen once; what follows needs no beauty
 
 
+def boxes(v: ViserPage, what: str) -> np.ndarray:
+    """Left, top, right, bottom (n, 4) px of the labels that are drawn: "words" or "names"."""
+    drawn = v.page.evaluate("() => window.collineaLabels.drawn()")
+    return np.array([d["box"] for d in drawn if d["shown"] and d["words"] == (what == "words")]).reshape(-1, 4)
+
+
+def clashes(found: np.ndarray) -> int:
+    """How many pairs of boxes (n, 4) lie over each other by more than a tenth of a pixel."""
+    low, high = np.maximum(found[:, None, :2], found[None, :, :2]), np.minimum(found[:, None, 2:], found[None, :, 2:])
+    over = (high - low > 0.1).all(axis=2)
+    return int(np.triu(over, 1).sum())
+
+
+def test_words_follow_the_theme_are_never_hidden_and_names_make_room(session: Session) -> None:
+    """Through the very picture: boxes and letters in the theme's colours; scale and exaggerations between the panels; no two
+    labels over each other while the camera turns, and few of them come and go."""
+    app, v = session
+    act(app, v, Show("labels", True))
+    v.page.wait_for_function("() => window.collineaLabels.works() && window.collineaLabels.drawn().filter(d => d.words).length > 3")
+    for dark in (True, False):
+        act(app, v, Show("dark", dark))
+        picture = np.asarray(v.wait_still(tolerance=0.05, timeout=120), float)
+        for left, top, right, bottom in boxes(v, "words"):  # letters stand in the middle of a box whose edge is plain
+            inside = picture[int(top) + 3 : int(bottom) - 2, int(left) + 3 : int(right) - 2, :3].mean(axis=2)
+            assert (inside.max() > 190 and np.median(inside) < 130) if dark else (inside.min() < 80 and np.median(inside) > 180)
+    size = v.page.evaluate("() => [window.__viserMutable.canvas.clientWidth, window.__viserMutable.canvas.clientHeight]")
+    panel = v.page.evaluate("() => window.collineaLabels.panels()")
+    assert len(panel) == 1 and panel[0][0] == 12
+    orbit = "a => window.__viserMutable.cameraControl.rotate(a, 0, false)"
+    drawn_at = "f => window.__viserTestpoints.rendererInfo.render.frame > f"
+    turned, states = 12, []
+    for _ in range(turned):
+        words, names = boxes(v, "words"), boxes(v, "names")
+        assert len(names) >= 6 and clashes(np.vstack([words, names])) == 0
+        on = (words[:, 2] > 0) & (words[:, 0] < size[0]) & (words[:, 3] > 0) & (words[:, 1] < size[1])
+        assert on.sum() >= 3 and (words[on, :2] >= 0).all() and (words[on, 2:] <= size).all()
+        assert clashes(np.vstack([words[on], panel])) == 0
+        states.append(v.page.evaluate("() => window.collineaLabels.drawn().filter(d => !d.words).map(d => d.shown)"))
+        frame = v.page.evaluate("() => window.__viserTestpoints.rendererInfo.render.frame")
+        v.page.evaluate(orbit, 0.01)
+        v.page.wait_for_function(drawn_at, arg=frame)
+    alike = [np.array(s) for s in states if len(s) == len(states[0])]
+    flips = np.abs(np.diff(alike, axis=0)).sum(axis=0)
+    assert len(alike) > turned / 2 and flips.max() <= 2 and flips.sum() < 0.05 * np.size(alike)
+    v.page.evaluate(orbit, -0.01 * turned)
+    act(app, v, Show("labels", False))
+
+
 def measured_points(app: App, v: ViserPage) -> tuple[np.ndarray, np.ndarray]:
     """Distances (k,) px from where points should be to where their symbols are drawn, and their largest error of colour (k,)."""
     expected = expected_pixels(app, v)
@@ -73,6 +122,7 @@ def measured_points(app: App, v: ViserPage) -> tuple[np.ndarray, np.ndarray]:
 
 def test_points_appear_where_projection_says_and_in_their_colour(points_only: Session) -> None:
     app, v = points_only
+    act(app, v, Fly("points", ""))
     distances, colours = measured_points(app, v)
     assert (
         len(distances) >= 3

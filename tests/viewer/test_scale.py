@@ -86,18 +86,24 @@ def test_of_many_images_those_without_control_are_not_tried_until_they_are_chose
     assert {j.image for j in wanted(replace(state, image=other))} == {other}
 
 
-def test_names_of_many_points_keep_apart_and_the_chosen_one_has_its_own(block: State) -> None:
-    state = block
+def test_of_many_names_those_of_the_chosen_image_come_first_then_such_as_are_far_apart(
+    block: State, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def names(state: State) -> dict[str, Label]:
+        return {v.text: v for p, v in whole_scene(state).items() if isinstance(v, Label) and p.startswith("/points/names/")}
 
-    def names(state: State) -> dict[str, np.ndarray]:
-        return {p.rsplit("/", 1)[1]: v.position for p, v in whole_scene(state).items() if isinstance(v, Label) and "/names/" in p}
-
-    drawn, known = names(state), {n for n, r in zip(state.block.points.names, state.block.points.role, strict=True) if r != "tie"}
-    at = np.array([v[:2] for n, v in drawn.items() if n in known])
+    known = {n for n, r in zip(block.block.points.names, block.block.points.role, strict=True) if r != "tie"}
+    seen = {block.block.points.names[block.block.observations.point[k]] for k in block.block.seen_in(block.image)} & known
+    every = names(block)
+    assert set(every) == known and 0 < len(seen) < len(known)  # the page makes them room
+    assert {n for n, v in every.items() if v.size > 0.8} == seen
+    monkeypatch.setattr("viewer_app.ground.NAMES", len(seen) + 6)
+    few = names(replace(block, point=(silent := min(known - seen))))
+    assert len(few) == len(seen) + 6 and set(few) > seen | {silent} and few[silent].size == 1.0
+    at = np.array([v.position[:2] for n, v in few.items() if n not in seen and n != silent])
     apart = np.linalg.norm(at[:, None] - at[None], axis=2) + np.diag(np.full(len(at), np.inf))
-    assert 10 < len(at) < len(known) and apart.min() > 0.09 * np.ptp(at, axis=0).max()
-    silent = next(iter(known - set(drawn)))
-    assert silent in names(replace(state, point=silent))
+    assert apart.min() > 0.15 * np.ptp([v.position[:2] for v in every.values()], axis=0).max()
+
 
 
 def test_tables_of_many_images_show_the_first() -> None:

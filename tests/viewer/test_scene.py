@@ -166,7 +166,8 @@ def test_frustum_corners_are_the_corners_of_the_photo(solved: State) -> None:
 
 def test_only_what_changed_differs(solved: State) -> None:
     one, two = scene(solved), scene(update(solved, ChoosePoint("G04")))
-    assert {p for p in one.keys() | two.keys() if p not in one or p not in two or not equal(one[p], two[p])} == {"/points/chosen"}
+    assert {p for p in one.keys() | two.keys() if p not in one or p not in two or not equal(one[p], two[p])} == {
+        "/points/chosen", "/points/names/G04"}
 
 
 def test_a_click_means_the_point_under_it_or_the_image(solved: State) -> None:
