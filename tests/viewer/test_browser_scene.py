@@ -72,7 +72,7 @@ def test_words_follow_the_theme_are_never_hidden_and_names_make_room(session: Se
     labels over each other while the camera turns, and few of them come and go."""
     app, v = session
     act(app, v, Show("labels", True))
-    v.page.wait_for_function("() => window.collineaLabels.works() && window.collineaLabels.drawn().filter(d => d.words).length > 3")
+    v.page.wait_for_function("() => collineaLabels.works() && collineaLabels.drawn().filter(d => d.words).length > 3")
     for dark in (True, False):
         act(app, v, Show("dark", dark))
         picture = np.asarray(v.wait_still(tolerance=0.05, timeout=120), float)
