@@ -60,7 +60,7 @@ def _front() -> str:
     text = text.replace("](docs/", "](").replace("](examples)", f"](tutorials/{_examples()[0].stem}.md)")
     for name, page in (("CHANGELOG.md", "changelog.md"), ("CONTRIBUTING.md", "contributing.md")):
         text = text.replace(f"]({name})", f"]({page})")
-    return text
+    return f"---\nhide: [toc]\n---\n{text}"  # room for its pictures and commands
 
 
 def _tutorial(path: Path) -> str:
