@@ -38,6 +38,7 @@ from .picking import pick
 from .state import FEW, MODELS, State, wanted
 from .tabs import Command, Desk, Panel, tabs, wanted_tasks, whole_scene
 from .theme import accent
+from .widths import NARROW, OVER, Widths
 
 PICK_PIXELS = 12.0
 """How far from a point's middle a click still means it, pixels of the screen."""
@@ -231,6 +232,7 @@ class App:
             for panel in self._panels:
                 self._try(f"The {type(panel).__name__}", partial(panel.draw, state))
             self._theme(state.view.dark)
+            self._try("The width of the panels", lambda: self._widths.fit(state))
         self.server.flush()
 
     def _try(self, what: str, do: Callable[[], None]) -> None:
@@ -270,6 +272,7 @@ class App:
         gui.set_panel_label("Collinea")
         self._wire = Wire(server, self._heard)
         dress_labels(server)
+        self._widths = Widths(lambda client, place, width: self._wire.widen(client, self._places[place], width))
         self._desk = Desk(gui, server, self.emit, self._wire, lambda: self._state)
         self._tabs(gui)
         server.on_client_connect(self._came)
@@ -281,6 +284,7 @@ class App:
         """Every tab in its place, and every command in the palette."""
         self._panels.append(StatusLine(self._desk))
         side, below = gui.add_tab_group(), gui.add_panel()
+        self._places = {"side": gui.main_panel, "below": below}
         tab_of: dict[str, str] = {}
         for tab in tabs():
             with (side if tab.place == "side" else below).add_tab(tab.name):
@@ -291,8 +295,8 @@ class App:
         complete(gui, {command.label for tab in tabs() for command in tab.commands}, self._wire, tab_of)
         guard_values(self.server, self._actions.put)
         gui.main_panel.dock_right()
-        gui.main_panel.set_width(410)
-        below.float(x=12, y=-12, width=430)
+        gui.main_panel.set_width(NARROW)
+        below.float(x=12, y=-12, width=OVER)
 
     def _command(self, gui: viser.GuiApi, command: Command) -> None:
         key: Any = command.key or None
@@ -301,9 +305,13 @@ class App:
 
         @handle.on_trigger
         async def _(event: Any) -> None:
+            client = getattr(event, "client_id", None)
+            if command.tab and client is not None and self._widths.shows(client, self._state) != command.tab:
+                self._wire.open(client, [command.tab])
+                return
             act = command.act
             if (action := act if isinstance(act, Action) else act(self._state)) is not None:
-                self.emit(asked_by(action, getattr(event, "client_id", None)))
+                self.emit(asked_by(action, client))
 
     def _look(self) -> None:
         """Look at all there is; who has moved already keeps the own view."""
@@ -343,6 +351,7 @@ class App:
         if client_id is None or not (isinstance(value, tuple) and len(value) == 2 and min(value) >= 0.001):
             return
         self._canvases[client_id] = 1e4 * value[0], 1e4 * value[1]
+        self._widths.canvas(client_id, self._canvases[client_id])
         if (client := self.server.get_clients().get(client_id)) is not None:
             self._frame(client)
 
@@ -382,6 +391,7 @@ class App:
     def _left(self, client: viser.ClientHandle) -> None:
         for known in (self._canvases, self._homes, self._before):
             known.pop(client.client_id, None)
+        self._actions.put(lambda: self._widths.left(client.client_id))
 
     def _fly(self, action: Fly) -> None:
         """Turn the view of the browser that asked."""
@@ -425,7 +435,11 @@ class App:
         """What came through the wire; anyone who can open the page can send anything: the tabs check it again."""
         if kind == "canvas":
             self._actions.put(lambda: self._sized(client, value))
+        if kind == "page" and client is not None and isinstance(value, tuple) and len(value) == 2:
+            self._actions.put(lambda: self._widths.page(client, 1e4 * value[0]))
         if kind == "tab" and (tab := next((t for t in tabs() if t.name == value), None)) is not None:
+            if tab.place == "below" and client is not None:
+                self._actions.put(partial(self._widths.opened, client, tab.name))
             self.emit(OpenedTab(tab.place, tab.name))
         for tab in tabs():
             if (heard := tab.heard.get(kind)) is not None and (action := heard(self._state, value)) is not None:

@@ -294,6 +294,20 @@ class Wire:
         """Open tabs in one browser."""
         self._run_in(client_id, f"collinea.open({json.dumps(tabs)})")
 
+    def widen(self, client_id: int, panel: Any, width: int) -> None:
+        """Give a panel a width [px] in one browser; viser itself knows but one for all."""
+        if not self.works:
+            return
+        from viser import _messages
+
+        api = panel._placement_gui_api
+        for client in self._server.get_clients().values():
+            if client.client_id == client_id:
+                message = _messages.GuiSetPanelWidthMessage(
+                    panel._placement_uuid, width, counter=api._next_layout_counter(), run_id=api._layout_run_id
+                )
+                client._websock_connection.queue_message(message)
+
     def _run_in(self, client_id: int, source: str) -> None:
         if not self.works:
             return

@@ -25,15 +25,18 @@ CLOSEST = 8.0
 LARGE = 4e6
 """Photos of more pixels than this get a pyramid."""
 PREPARING = "preparing the photo for zooming"
-SENT = 1200
-"""Longer side of a picture that is sent, pixels."""
+SENT, MOST = 1200, 2600
+"""Longer side of a picture that is sent, pixels: for a small pane, and at most."""
+STEP = 200
+"""By how much it grows with the pane."""
 
 
 @dataclass(frozen=True)
 class PhotoView:
     """left, top: corner of the window in photo pixels from the outer corner; width: across it, 0 shows the whole photo.
 
-    image: the photo it belongs to. pane: width of the pane in the browser that zoomed last.
+    image: the photo it belongs to. pane: width of the pane in the browser that drew or zoomed it last. sharp: pixels of the
+    screen across the widest pane there was.
     """
 
     image: str = ""
@@ -41,6 +44,7 @@ class PhotoView:
     top: float = 0.0
     width: float = 0.0
     pane: float = PANE_WIDTH
+    sharp: float = PANE_WIDTH
     ready: tuple[str, ...] = ()  # photos whose pyramid is there
 
 
@@ -52,6 +56,14 @@ class ZoomPhoto(Action):
     u: float = 0.5
     v: float = 0.5
     pane: float | None = None
+
+
+@dataclass(frozen=True)
+class DrawnPhoto(Action):
+    """A browser drew the pane so many pixels of the page wide, each of them `dense` pixels of its screen."""
+
+    pane: float
+    dense: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -140,6 +152,14 @@ def _zoom(state: State, action: ZoomPhoto) -> State:
     return _looking(state, shown.left + action.u * shown.width * share, shown.top + action.v * shown.height * share, width)
 
 
+@handles(DrawnPhoto)
+def _drawn(state: State, action: DrawnPhoto) -> State:
+    view = state.room(PhotoView)
+    if not (50 <= action.pane <= 10_000 and 0.1 <= action.dense <= 10):
+        return state
+    return state.with_room(replace(view, pane=float(action.pane), sharp=max(view.sharp, action.pane * action.dense)))
+
+
 @handles(PanPhoto)
 def _pan(state: State, action: PanPhoto) -> State:
     if not state.block.images:
@@ -176,9 +196,13 @@ def _ready(state: State, action: PyramidReady) -> State:
 
 
 def tasks(state: State) -> tuple[Task, ...]:
-    """The pyramid of the chosen photo, where it is large and there is none yet."""
+    """The pyramid of the chosen photo, where it is large, or larger than its small picture and looked at closely, and there is
+    none yet."""
     photo, folder = state.assets.photos.get(state.image), state.assets.folder
-    if photo is None or folder is None or photo.size[0] * photo.size[1] < LARGE:
+    if photo is None or folder is None:
+        return ()
+    small = photo.size[0] <= photo.pane.shape[1] or not (_zoomed(state) or _wanted(state) > TOLERATED * max(photo.pane.shape))
+    if photo.size[0] * photo.size[1] < LARGE and small:
         return ()
     if state.image in state.room(PhotoView).ready:
         return ()
@@ -205,15 +229,28 @@ def cache(folder: Path) -> Path:
     return folder / "runs" / ".thumbnails"
 
 
-Cut = tuple[Photo, Path | None, tuple[int, int], Window]
+Cut = tuple[Photo, Path | None, tuple[int, int], Window, int]
+TOLERATED = 1.05
+"""By how much the small picture may be enlarged before the photo itself is asked."""
 
 
 def cut(state: State, photo: Photo) -> Cut | None:
-    """What `picture` needs to know of the state; None while the whole photo is shown."""
-    shown, camera = window(state), state.block.camera_of(state.image)
-    if shown.width >= camera.width:
+    """What `picture` needs to know of the state; None while the whole photo is shown and its small picture will do."""
+    camera, path, wanted = state.block.camera_of(state.image), pyramid(state, photo), _wanted(state)
+    if not _zoomed(state) and (path is None or wanted <= TOLERATED * max(photo.pane.shape)):
         return None
-    return photo, pyramid(state, photo), (camera.width, camera.height), shown
+    return photo, path, (camera.width, camera.height), window(state), min(max(wanted, SENT), MOST)
+
+
+def _zoomed(state: State) -> bool:
+    return window(state).width < state.block.camera_of(state.image).width
+
+
+def _wanted(state: State) -> int:
+    """Longer side of the picture that the widest pane shows pixel by pixel, in steps."""
+    camera = state.block.camera_of(state.image)
+    longer = state.room(PhotoView).sharp * max(1.0, camera.height / camera.width)
+    return STEP * math.ceil(longer / STEP - 1e-6)
 
 
 def pyramid(state: State, photo: Photo) -> Path | None:
@@ -222,18 +259,19 @@ def pyramid(state: State, photo: Photo) -> Path | None:
     return pyramid_path(photo.path, cache(folder)) if folder is not None and state.image in state.room(PhotoView).ready else None
 
 
-def picture(photo: Photo, path: Path | None, full: tuple[int, int], shown: Window) -> np.ndarray:
-    """What the pane shows of the photo, uint8 (h, w, 3): from its pyramid, or coarser from the small picture."""
+def picture(photo: Photo, path: Path | None, full: tuple[int, int], shown: Window, sent: int) -> np.ndarray:
+    """What the pane shows of the photo, uint8 (h, w, 3): from its pyramid, or coarser from the small picture. sent: its longer
+    side at most, pixels."""
     size = photo.size if path is not None else (photo.pane.shape[1], photo.pane.shape[0])
     fx, fy = size[0] / full[0], size[1] / full[1]
     left, top, width, height = shown.left * fx, shown.top * fy, shown.width * fx, shown.height * fy
-    grow = max(1.0, min(64.0, SENT / max(width, height)))  # enlarged by whole squares, so that pixels stay pixels
+    grow = max(1.0, min(64.0, sent / max(width, height)))  # enlarged by whole squares, so that pixels stay pixels
     if path is not None:
         if grow > 1:
             x0, y0 = math.floor(left), math.floor(top)
             x1, y1 = min(math.ceil(left + width), size[0]), min(math.ceil(top + height), size[1])
-            area = read_window(path, x0, y0, x1 - x0, y1 - y0, SENT)
+            area = read_window(path, x0, y0, x1 - x0, y1 - y0, sent)
             box = left - x0, top - y0, left + width - x0, top + height - y0
             return resampled(area, box, (width * grow, height * grow))
-        return read_window(path, left, top, width, height, SENT)
+        return read_window(path, left, top, width, height, sent)
     return resampled(photo.pane, (left, top, left + width, top + height), (width * grow, height * grow))

@@ -19,7 +19,7 @@ from .acting import update
 from .actions_measure import SPOTS
 from .bundle_actions import OPTIONS, RunBundle
 from .bundle_state import Bundle, bundle_choices, bundle_of_choices
-from .desktop import Desktop
+from .desktop import FITS, PANELS, PHOTOS, Desktop
 from .epochs import Epochs, GoToEpoch, reopened
 from .figures import FIGURES, Figure
 from .kept_run import KeptRun
@@ -116,7 +116,8 @@ kept(lambda room: {"opacity": room.opacity}, lambda said: Looking("", _number(sa
 
 def _desktop(said: Any) -> Desktop:
     view = tuple(_number(v, -1e9, 1e9) for v in said["view"])
-    return Desktop(str(said["side"])[:80], str(said["below"])[:80], view if len(view) == 6 else ())
+    panel, photo = _one(said.get("panel", FITS), PANELS), _one(said.get("photo", Desktop.photo), PHOTOS)
+    return Desktop(str(said["side"])[:80], str(said["below"])[:80], view if len(view) == 6 else (), panel, photo)
 
 
 kept(from_json=_desktop)(Desktop)

@@ -48,6 +48,7 @@ class Command:
 
     act: an action, or a function of the state that gives one, or None where the command means nothing just now.
     key: as viser names it ("arrowleft", "space", "Z"); modifier: "cmd/ctrl", "shift" ...
+    tab: over the scene, without which the command would show nothing: where it is not open yet, the command opens it instead.
     """
 
     label: str
@@ -55,6 +56,7 @@ class Command:
     key: str = ""
     modifier: str | None = None
     hint: str = ""
+    tab: str = ""
 
 
 Heard = Callable[[State, Any], Action | None]

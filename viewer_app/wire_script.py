@@ -5,12 +5,40 @@ window.collinea = (() => {
   let count = 0;
   const send = (kind, value) => window.__viserMutable.sendMessage(
     {type: 'GuiUpdateMessage', uuid: UUID, updates: {value: JSON.stringify([kind, value, Date.now() + '-' + count++])}});
+  const page = () => send('page', [innerWidth / 1e4, innerHeight / 1e4]);
+  addEventListener('resize', page);
   const watch = () => {  // how large the canvas is, whenever that changes
     const canvas = window.__viserMutable?.canvas;
     if (!canvas?.clientWidth) { setTimeout(watch, 30); return; }
+    page();
     new ResizeObserver(() => send('canvas', [canvas.clientWidth / 1e4, canvas.clientHeight / 1e4])).observe(canvas);
   };
   watch();
+  // how wide the photo is drawn, once it rests, and how many pixels of the screen one of the page has
+  let photo = null, drawn = '', soon = 0;
+  const photos = new ResizeObserver(() => {
+    clearTimeout(soon);
+    soon = setTimeout(() => {
+      const width = photo?.isConnected ? photo.getBoundingClientRect().width : 0, size = width + '/' + devicePixelRatio;
+      if (width < 50 || size === drawn) return;
+      drawn = size;
+      send('photo-size', [width / 1e4, Math.min(devicePixelRatio, 10) / 10]);
+    }, 60);
+  });
+  const seePhoto = () => {
+    const now = document.getElementById('collinea-photo');
+    if (now === photo) return;
+    photos.disconnect();
+    photo = now;
+    if (photo) photos.observe(photo);
+  };
+  // a table wider than its panel says so below itself
+  const cut = e => {
+    const more = e.nextElementSibling;
+    if (more?.dataset.more !== undefined && e.clientWidth) more.hidden = e.scrollWidth <= e.clientWidth + 1;
+  };
+  const tables = new ResizeObserver(found => found.forEach(f => cut(f.target)));
+  const seeTables = () => document.querySelectorAll('[data-wide]').forEach(e => { cut(e); tables.observe(e); });
   const press = ev => { ev.stopPropagation(); const e = ev.currentTarget; send(e.dataset.kind, e.dataset.value); };
   // a button drawn anew between press and release is still the button that was pressed; the page itself makes no click of it
   let held = null;
@@ -73,6 +101,8 @@ window.collinea = (() => {
   document.addEventListener('focusout', ev => ifLeft(ev.target, e => { delete typing[e.dataset?.focus]; }), true);
   new MutationObserver(records => {
     if (!records.some(r => r.addedNodes.length)) return;
+    seePhoto();
+    seeTables();
     for (const e of document.querySelectorAll('[data-keep]')) {
       const to = scrolled[e.dataset.keep];
       if (to && (e.scrollLeft !== to[0] || e.scrollTop !== to[1])) { e.scrollLeft = to[0]; e.scrollTop = to[1]; }

@@ -59,6 +59,11 @@ def framed(app: App, v: ViserPage) -> bool:
     return size[0] < width and bool(here) and camera_arrived(app, v)
 
 
+def canvas_width(v: ViserPage) -> int:
+    """What the main panel leaves of the page's width; a few pixels beside it are the panel's edge."""
+    return v.page.evaluate("() => window.__viserMutable.canvas.clientWidth")
+
+
 def settle(app: App, v: ViserPage) -> None:
     """Until every action that was emitted is taken, nothing is left to solve, and the page shows what follows from it.
 

@@ -19,9 +19,11 @@ from tests.viewer.sessions import (
     act,
     camera_arrived,
     camera_path,
+    canvas_width,
     demo_session,
     downloaded,
     expected_pixels,
+    framed,
     has_pose,
     keys_work,
     settle,
@@ -30,17 +32,19 @@ from tests.viewer.sessions import (
 from viewer_app import theme, tones
 from viewer_app.actions import ChooseImage, ChoosePoint, ForgetSpots, Show, Speed, Step, UseOnly, UsePoints
 from viewer_app.app import App
+from viewer_app.desktop import Desktop, SizePhoto
 from viewer_app.figures import CORRELATION, ELEMENTS, FIGURES, ChooseFigure
 from viewer_app.flying import Fly
 from viewer_app.looking import Looking, looked_through
 from viewer_app.paint_viser import frustum_pose
 from viewer_app.panels.widgets import css
-from viewer_app.photo_view import percent, window
+from viewer_app.photo_view import PhotoView, ShowWhole, ZoomToMark, percent, window
 from viewer_app.picking import pick
 from viewer_app.scene import frustum_depth, scene, sight, vector_scale
 from viewer_app.spots import plotted
 from viewer_app.state import COMPARED
 from viewer_app.values import Segments
+from viewer_app.widths import EDGE, FULL, OVER, photo_width
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(400)]
 
@@ -286,7 +290,7 @@ def test_what_is_exaggerated_is_written_in_the_scene_beside_a_scale_bar(session:
     assert "a priori from the given standard errors, drawn × 30; redundancy of the adjustment " in words
     assert f"adjustment {solution.orientation.dof}" in words
     v.open_tab("Photo")
-    v.set_slider("Photo residuals ×", 20)
+    v.set_slider("Photo vectors ×", 20)
     until(app, v, lambda: app.state.view.photo_vectors == 20, "the photo's slider")
     v.page.get_by_text("residual × 20 ·").wait_for()
     v.open_tab("Legend")
@@ -444,6 +448,7 @@ def test_a_point_is_measured_on_the_photo_to_half_a_pixel(session: Session) -> N
     target = of.pixel[(of.image == i) & (of.point == j)][0] + [7.0, -5.0]
     act(app, v, ChoosePoint(name))
     v.open_tab("Photo")
+    drawn(app, v)
     camera = state.block.camera_of(state.image)
     picture = v.page.get_by_role("img", name="Photo " + state.image)
     picture.wait_for()
@@ -486,6 +491,7 @@ def test_the_photo_is_zoomed_to_800_percent_and_a_mark_set_to_a_tenth_of_a_pixel
     j = state.block.point_index(name)
     row = next(r for r in state.block.seen_in(state.image) if state.block.observations.point[r] == j)
     act(app, v, ChoosePoint(name))
+    drawn(app, v)
     received = v.log.bytes_received
     v.click_button("800 %")
     until(app, v, lambda: percent(app.state) > 799, "the zoom")
@@ -507,9 +513,81 @@ def test_the_photo_is_zoomed_to_800_percent_and_a_mark_set_to_a_tenth_of_a_pixel
     v.open_tab("Iterations")
 
 
+def test_the_photo_takes_as_much_of_the_page_as_one_wants(session: Session) -> None:
+    """On a large screen: it grows at a key, is sent as fine as it is shown, never 5 MB; all stays in sight; marks to 0.1 px."""
+    app, v = session
+    name, before = app.state.control()[2], v.page.viewport_size
+    assert before
+    v.open_tab("Iterations")
+    v.page.set_viewport_size({"width": 2560, "height": 1440})
+    v.wait_until(lambda: 0 <= 2560 - FULL - canvas_width(v) < 10, "the wider panel")
+    act(app, v, ChoosePoint(name))
+    v.hotkey("v")  # opens the tab; the photo is as large as it was left
+    picture = v.page.get_by_role("img", name="Photo ")
+    picture.wait_for()
+    drawn(app, v)
+    large, received = v.box(picture), v.log.bytes_received
+    assert app.state.room(Desktop).photo == "large" and large["width"] > 1200
+    v.hotkey("v")
+    until(app, v, lambda: app.state.room(Desktop).photo == "whole scene", "the whole scene")
+    drawn(app, v)
+    whole = v.box(picture)
+    assert whole["width"] > large["width"] + 150 and whole["height"] > 0.7 * 1440 and 2560 - FULL - whole["width"] < 250
+    last = v.box(v.page.get_by_role("button", name="Drop mark"))
+    assert whole["y"] > 0 and last["y"] + last["height"] < 1440  # nothing has to be scrolled to
+    v.wait_until(lambda: sent_width(v) >= 1500, "all pixels of the photo's file")
+    act(app, v, ZoomToMark())
+    shown = window(app.state)
+    assert percent(app.state) == pytest.approx(800) and shown.width == pytest.approx(whole["width"] / 8, abs=0.01)
+    state = app.state
+    j = state.block.point_index(name)
+    row = next(r for r in state.block.seen_in(state.image) if state.block.observations.point[r] == j)
+    target = state.block.observations.pixel[row] + [-31.3, 22.6]
+    u, w = shown.place(*target)
+    v.page.mouse.click(whole["x"] + u * whole["width"], whole["y"] + w * whole["height"])
+    until(app, v, lambda: app.state.mark is not None, "the mark")
+    mark, magnifier = app.state.mark, v.box(v.page.get_by_role("img", name="Magnifier"))
+    assert mark and np.abs(np.array([mark.col, mark.row]) - target).max() <= 0.1
+    assert v.box(picture) == whole  # the photo has not moved under the pointer
+    middle = whole["x"] + whole["width"] / 2
+    assert middle < magnifier["x"] < whole["x"] + whole["width"] - magnifier["width"]  # in the photo, far from the mark
+    assert v.log.bytes_received - received < 5_000_000
+    v.click_button("Drop mark")
+    v.hotkey("v")
+    until(app, v, lambda: app.state.room(Desktop).photo == "small", "the small photo")
+    drawn(app, v)
+    assert v.box(picture)["width"] == OVER - EDGE
+    act(app, v, ShowWhole(), SizePhoto("large"), ChoosePoint(None))
+    v.open_tab("Iterations")
+    v.page.set_viewport_size(before)
+    v.wait_until(lambda: framed(app, v), "the view beside the panels")
+
+
+def drawn(app: App, v: ViserPage) -> None:
+    """Until the viewer knows how wide the browser draws the photo, and that is as wide as it should be."""
+
+    def known() -> bool:
+        [client] = app.server.get_clients()
+        wanted = photo_width(app.state.room(Desktop).photo, app._canvases[client], 1.5) - EDGE
+        width = v.box(v.page.get_by_role("img", name="Photo "))["width"]
+        return abs(width - wanted) < 2 and abs(app.state.room(PhotoView).pane - width) < 0.01
+
+    until(app, v, known, "the photo to be drawn")
+
+
+def sent_width(v: ViserPage) -> int:
+    """Pixels across the picture that the browser was sent of the photo."""
+    return v.page.evaluate(
+        """async () => { const image = new Image();
+            image.src = getComputedStyle(document.documentElement).getPropertyValue('--collinea-photo').slice(4, -1);
+            await image.decode();
+            return image.naturalWidth; }""")
+
+
 def test_wheel_and_shift_drag_move_about_the_photo(session: Session) -> None:
     app, v = session
     v.open_tab("Photo")
+    drawn(app, v)
     camera = app.state.block.camera_of(app.state.image)
     picture = v.page.get_by_role("img", name="Photo ")
     box = v.box(picture)
@@ -541,6 +619,7 @@ def test_a_click_gives_ground_coordinates(session: Session) -> None:
     """A click on a measured control point's image: its ground coordinates, to what half a pixel of the page allows."""
     app, v = session
     v.open_tab("Photo")
+    drawn(app, v)
     v.choose("A click", "gives ground coordinates")
     until(app, v, lambda: app.state.click == "monoplot" and app.state.assets.surface is not None, "the mode")
     block, name = app.state.block, app.state.control()[0]
@@ -569,6 +648,7 @@ def test_a_click_gives_ground_coordinates(session: Session) -> None:
 def test_a_rectangle_on_the_photo_chooses_control_and_all_solutions_stand_beside_each_other(session: Session) -> None:
     app, v = session
     v.open_tab("Photo")
+    drawn(app, v)
     block, image = app.state.block, app.state.image
     picture = v.page.get_by_role("img", name="Photo ")
     picture.wait_for()

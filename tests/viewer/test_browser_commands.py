@@ -25,6 +25,7 @@ from tests.viewer.sessions import (
     Session,
     act,
     camera_path,
+    canvas_width,
     demo_session,
     downloaded,
     has_pose,
@@ -53,7 +54,7 @@ from viewer_app.app import App
 from viewer_app.bridge import controls
 from viewer_app.bundle_actions import FreeParameter, SetBundle
 from viewer_app.bundle_state import Bundle
-from viewer_app.desktop import Desktop
+from viewer_app.desktop import Desktop, SizePanel, SizePhoto
 from viewer_app.epochs import DrawEllipsoids, Exaggerate
 from viewer_app.figures import ELEMENTS, ChooseFigure
 from viewer_app.kept_run import KeepRun, kept_of
@@ -64,6 +65,7 @@ from viewer_app.mosaic_actions import Choose, Look
 from viewer_app.photo_view import ZoomPhoto
 from viewer_app.session import to_json
 from viewer_app.tabs import tabs
+from viewer_app.widths import SCENE
 
 UNIT = re.compile(r"×|°|%|\b(m|mm|px|pixels?|metres|rows?|per second|epochs?|factor|no unit)\b", re.IGNORECASE)
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(200)]
@@ -327,7 +329,7 @@ def test_a_restart_reconnects_and_restores_the_state(session: Session, tmp_path_
             settle(first, v)
             point = first.state.control()[1]
             act(first, v, SwitchPoint(point), Show("rays", False), Show("vectors", 321.0), *CHOSEN)
-            act(first, v, FreeParameter("c"), Step("first"))
+            act(first, v, FreeParameter("c"), Step("first"), SizePanel("wide"), SizePhoto("small"))
             v.open_tab("Compare")
             v.open_tab("Scene")
             until(first, v, lambda: first.state.room(Desktop).below == "Scene", "the tabs")
@@ -353,6 +355,8 @@ def test_a_restart_reconnects_and_restores_the_state(session: Session, tmp_path_
                 assert (second_run.rows[-1].x == kept_of(before)["perspective"].rows[-1].x).all()
                 assert now.row == 0 and now.image == before.image and now.view.vectors == 321
                 assert now.room(Bundle).free == ("c",)
+                assert (now.room(Desktop).panel, now.room(Desktop).photo) == ("wide", "small")
+                v.wait_until(lambda: 0 <= SCENE - canvas_width(v) < 10, "the wide panel, as far as the page has room")
                 assert second._view == looked and np.allclose(second.server.initial_camera.position, position, atol=1e-3)
                 for tab in ("Compare", "Scene"):
                     v.page.get_by_role("tab", name=tab, exact=True, selected=True).wait_for()

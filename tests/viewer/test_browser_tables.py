@@ -11,8 +11,11 @@ from playwright.sync_api import Locator
 from tests.browser import ViserPage
 from tests.viewer.sessions import Session, act, demo_session, settle, until
 from viewer_app.actions import ChooseImage, ChoosePoint, SwitchPoint, Undo
+from viewer_app.desktop import FITS, Desktop
 from viewer_app.lists import SortBy, rows_of
+from viewer_app.panels.widgets import MORE
 from viewer_app.scene import sight
+from viewer_app.widths import FULL, NARROW
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(200)]
 
@@ -49,6 +52,31 @@ def focused(v: ViserPage) -> str:
 def shown_names(v: ViserPage, name: str) -> list[str]:
     script = "n => [...document.querySelectorAll(`table[aria-label='${n}'] tbody tr`)].map(r => r.dataset.row)"
     return v.page.evaluate(script, name)
+
+
+def test_every_column_is_reached_in_a_narrow_panel_and_seen_in_a_wide_one(session: Session) -> None:
+    app, v = session
+    box = table(v).locator("xpath=..")
+    last, first = box.locator("th").last, box.locator(f"[data-focus='points/name/{app.state.control()[0]}']")
+    hint = v.page.get_by_text(MORE, exact=True).locator("visible=true")
+
+    def seen(cell: Locator) -> bool:
+        a, b = v.box(cell), v.box(box)
+        return a["x"] >= b["x"] - 1 and a["x"] + a["width"] <= b["x"] + b["width"] + 1
+
+    assert app.state.room(Desktop).panel == FITS and v.box(box)["width"] < NARROW and not seen(last)
+    hint.wait_for()
+    box.evaluate("e => { e.scrollLeft = e.scrollWidth; }")
+    v.wait_until(lambda: seen(last) and seen(first), "the last column beside the names")
+    v.hotkey("t")
+    until(app, v, lambda: app.state.room(Desktop).panel == "wide", "the wide panel")
+    v.wait_until(lambda: v.box(box)["width"] > FULL - 40 and seen(last) and seen(first), "every column")
+    v.wait_until(lambda: hint.count() == 0, "the hint to go")
+    v.open_tab("Project")
+    v.choose("Panel width", FITS)
+    until(app, v, lambda: app.state.room(Desktop).panel == FITS, "the panel as the page has it")
+    v.open_tab("Points")
+    v.wait_until(lambda: v.box(box)["width"] < NARROW, "the narrow panel")
 
 
 def test_a_heading_sorts_up_down_and_back(session: Session) -> None:

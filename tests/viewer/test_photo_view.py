@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,14 +12,17 @@ import pytest
 from tests.viewer.conftest import make_state
 from viewer_app.acting import update
 from viewer_app.actions import Aim, ChooseImage, ChoosePoint
-from viewer_app.panels.photo import _heard_in, _heard_pan, _heard_photo, photo_html
+from viewer_app.panels.photo import _coded, _heard_in, _heard_pan, _heard_photo, _heard_size, photo_html
 from viewer_app.panels.widgets import jpeg
 from viewer_app.photo_view import (
+    MOST,
     PANE_WIDTH,
+    DrawnPhoto,
     PanPhoto,
     PhotoView,
     PyramidReady,
     ShowWhole,
+    Window,
     ZoomPhoto,
     ZoomToMark,
     cut,
@@ -108,6 +112,42 @@ def test_the_pyramid_is_made_once_and_the_picture_then_is_sharp(shown: State) ->
     assert np.abs(sharp - honest).mean() < 6
     blurred = cut(replace(near, rooms={**near.rooms, PhotoView: replace(near.room(PhotoView), ready=())}), photo)
     assert blurred is not None and blurred[1] is None and picture(*blurred).size > 0
+
+
+def test_a_wide_pane_is_sent_as_many_pixels_as_it_shows(shown: State) -> None:
+    """The photo's file has 3000 x 2000 pixels for a format of 6000 x 4000, its small picture 1000 x 667."""
+    photo = shown.assets.photos["left"]
+    small = update(update(shown, PyramidReady("left")), DrawnPhoto(700.0))
+    assert small.room(PhotoView).pane == 700 and cut(small, photo) is None  # the small picture will do
+    wide = update(small, DrawnPhoto(1700.0))
+    whole = cut(wide, photo)
+    assert whole is not None and picture(*whole).shape == (1200, 1800, 3)
+    near = cut(update(wide, ZoomPhoto(1.5)), photo)
+    assert near is not None and 1700 <= picture(*near).shape[1] <= 1800
+    dense = cut(update(small, DrawnPhoto(1000.0, 2.5)), photo)
+    assert dense is not None and picture(*dense).shape[1] == MOST
+    assert update(wide, DrawnPhoto(300.0)).room(PhotoView).sharp == 1700  # another browser may still be wide
+    assert cut(update(shown, DrawnPhoto(1700.0)), photo) is None  # no pyramid yet: the small picture, at once
+
+
+@pytest.mark.parametrize("action", [DrawnPhoto(10.0), DrawnPhoto(math.nan), DrawnPhoto(500.0, 0.0), DrawnPhoto(500.0, math.inf)])
+def test_a_pane_of_no_size_changes_nothing(shown: State, action: DrawnPhoto) -> None:
+    assert update(shown, action) is shown and _heard_size(shown, "x") is None
+    assert _heard_size(shown, (0.05, 0.2)) == DrawnPhoto(500.0, 2.0)
+
+
+def test_a_photo_hardly_larger_than_its_small_picture_is_prepared_when_it_is_looked_at_closely(shown: State) -> None:
+    photo = replace(shown.assets.photos["left"], size=(1500, 1000))
+    calm = replace(shown, assets=replace(shown.assets, photos={"left": photo}))
+    assert not tasks(calm)
+    assert len(tasks(update(calm, ZoomPhoto(2.0)))) == len(tasks(update(calm, DrawnPhoto(1400.0)))) == 1
+
+
+def test_the_largest_picture_of_the_noisiest_photo_stays_below_five_megabytes(shown: State) -> None:
+    noise = np.random.default_rng(7).integers(0, 256, (MOST * 2 // 3, MOST, 3), dtype=np.uint8)
+    photo = replace(shown.assets.photos["left"], pane=noise)
+    part = (photo, None, (6000, 4000), Window(0.0, 0.0, 6000.0, 4000.0), MOST)
+    assert len(jpeg(picture(*part), 88)) > 5_000_000 > len(_coded(part)) > 1_000_000
 
 
 def test_no_picture_is_large(shown: State) -> None:

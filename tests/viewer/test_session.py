@@ -33,7 +33,7 @@ from viewer_app.actions_points import EditPoint, SwitchRole
 from viewer_app.bundle_actions import FreeParameter, RunBundle, SetBundle
 from viewer_app.bundle_state import Bundle
 from viewer_app.bundle_tasks import tasks as bundle_tasks
-from viewer_app.desktop import Desktop
+from viewer_app.desktop import Desktop, SizePanel, SizePhoto
 from viewer_app.epochs import Epochs
 from viewer_app.figures import ELEMENTS, ChooseFigure, Figure
 from viewer_app.keeping import NAME, Keeper, resume
@@ -68,6 +68,8 @@ EDITS = (
     Speed(7.5),
     SortBy("points", "Z"),
     Clicking("monoplot"),
+    SizePanel("very wide"),
+    SizePhoto("small"),
     Plot(50.0, 60.0),
     FreeParameter("c"),
     Undo(),
@@ -110,7 +112,8 @@ def same(a: State, b: State) -> bool:
     if (len(a.past), len(a.future)) != (len(b.past), len(b.future)):
         return False
     works = [(a.work, b.work), *zip(a.past, b.past, strict=True), *zip(a.future, b.future, strict=True)]
-    return choices and a.room(Tables) == b.room(Tables) and all(same_work(x, y) for x, y in works)
+    rooms = all(a.room(kind) == b.room(kind) for kind in (Tables, Desktop))
+    return choices and rooms and all(same_work(x, y) for x, y in works)
 
 
 def test_a_state_comes_back_identical(folder: Path, edited: State) -> None:

@@ -21,11 +21,10 @@ from ..lists import COLUMNS, MOST, Column, Row, ShowRows, SortBy, Tables, as_csv
 from ..state import Photo, State
 from ..tabs import Command, Desk, Tab
 from ..theme import CHECK, CONTROL, INITIAL, RESIDUAL
-from .widgets import BOX, MUTED, QUIET, Html, bind, css, decimals, esc, put, swatch
+from .widgets import BOX, MUTED, QUIET, RIM, Html, bind, css, decimals, esc, more, put, swatch
 
 THUMB = 44
 """Longer side of a thumbnail in the list, pixels of the page."""
-NARROW, WIDE = 410, 860
 STATUS = {"solved": "✓", "one model": "½", "not converged": "!", "no solution": "✗", "not measured": "–", "waits": "…"}
 
 
@@ -36,11 +35,9 @@ class PointsPanel:
         self._desk, gui = desk, desk.gui
         self._filter = gui.add_text("Names shown", "", hint="A part of the name, or a pattern such as G1*; empty shows all.")
         bind(self._filter, desk.emit, lambda value: ShowRows(str(value)))
-        self._wide = gui.add_checkbox("Wide panel", False, hint="Twice the width for this panel, in every browser.")
         self._table = Html(gui)
         csv = gui.add_button("Points as CSV", hint="Download the table as shown, metres and pixels.", color=QUIET)
         csv.on_click(lambda event: download(desk, event.client, "points"))
-        self._wide.on_update(lambda _: gui.main_panel.set_width(WIDE if self._wide.value else NARROW))
 
     def draw(self, state: State) -> None:
         put(self._filter, state.room(Tables).shown)
@@ -97,12 +94,13 @@ def table_html(state: State, table: str, wire: Wire) -> str:
         f"{draw(row, columns, wire)}</tr>"
         for row in rows
     )
-    more = f"<div {MUTED}>{count - MOST} more: narrow the names shown</div>" if count > MOST else ""
+    rest = f"<div {MUTED}>{count - MOST} more: narrow the names shown</div>" if count > MOST else ""
     name = {"points": "Points", "images": "Image list", "orientations": "All orientations"}[table]
     return (
-        f'<div data-keep="{table}" style="max-height:46vh;overflow:auto"><table aria-label="{name}" style="border-collapse:'
-        f'collapse;font-size:11px;font-variant-numeric:tabular-nums"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
-        f"</div>{more}"
+        f'<div data-keep="{table}" data-wide style="max-height:46vh;overflow:auto;scroll-padding-left:90px;{RIM}">'
+        f'<table aria-label="{name}" style="border-collapse:collapse;font-size:11px;font-variant-numeric:tabular-nums">'
+        f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+        f"</div>{more()}{rest}"
     )
 
 
@@ -113,7 +111,8 @@ def _head(table: str, column: Column, sorting: tuple[str, bool] | None, wire: Wi
     unit = f" <span {MUTED}>{esc(column.unit)}</span>" if column.unit else ""
     hint, focus = f"{column.hint} Click to sort.", f"{table}/head/{column.key}"
     button = wire.attributes("sort", json.dumps([table, column.key]), hint, focus)
-    style = f"{CELL};position:sticky;top:0;z-index:1;background:var(--mantine-color-body)"
+    stays = "left:0;z-index:2" if column.key == "name" else "z-index:1"
+    style = f"{CELL};position:sticky;top:0;{stays};background:var(--mantine-color-body)"
     words = f"<span {button}>{esc(column.title)}{unit}{arrow}</span>"
     return f'<th scope="col" aria-sort="{said}" style="{style}">{words}</th>'
 
@@ -121,8 +120,17 @@ def _head(table: str, column: Column, sorting: tuple[str, bool] | None, wire: Wi
 CELL = "padding:1px 4px;white-space:nowrap;text-align:right"
 
 
+STAYS = "position:sticky;left:0;background:linear-gradient({0},{0}),var(--mantine-color-body)"
+"""A cell that stays in sight when the others are scrolled away; {0}: its row's colour."""
+
+
 def _td(content: str, left: bool = False) -> str:
     return f'<td style="{CELL}{";text-align:left" if left else ""}">{content}</td>'
+
+
+def _name(row: Row, content: str) -> str:
+    colour = "rgba(128,128,128,.18)" if row.chosen else "transparent"
+    return f'<td style="{CELL};text-align:left;{STAYS.format(colour)}">{content}</td>'
 
 
 def _button(wire: Wire, kind: str, value: str, hint: str, focus: str, content: str) -> str:
@@ -136,7 +144,7 @@ def _point_cells(row: Row, columns: tuple[Column, ...], wire: Wire) -> str:
     box, words, w = "☑" if v["on"] else "☐", f"{swatch(colour)}{esc(name)}", _number(v["w"], 1)
     cells = [
         _td(_button(wire, "on", name, f"switch {name} {switch}", f"points/on/{name}", box)),
-        _td(_button(wire, "fly-point", name, f"choose {name} and fly there", f"points/name/{name}", words), True),
+        _name(row, _button(wire, "fly-point", name, f"choose {name} and fly there", f"points/name/{name}", words)),
         _td(_button(wire, "role", name, f"make {name} {other}", f"points/role/{name}", esc(v["role"])), True),
         _td(_number(v["v"], 2)),
         _td(f'<span style="color:{css(RESIDUAL)}">{w}</span>' if v["w"] > 3 else w),
@@ -155,7 +163,7 @@ def _image_cells(row: Row, columns: tuple[Column, ...], wire: Wire) -> str:
     button = _button(wire, "fly-image", name, f"choose {name} and fly there", f"images/name/{name}", f"{picture}{esc(name)}")
     return "".join(
         (
-            _td(button, True),
+            _name(row, button),
             _td(f"{STATUS.get(v['status'], '')} {esc(v['status'])}", True),
             _td(str(v["n"])),
             _td(_number(v["rms_p"], 2)),
@@ -166,7 +174,7 @@ def _image_cells(row: Row, columns: tuple[Column, ...], wire: Wire) -> str:
 
 def _orientation_cells(row: Row, columns: tuple[Column, ...], wire: Wire) -> str:
     name, v = row.name, row.values
-    cells = [_td(_button(wire, "fly-image", name, f"choose {name} and fly there", f"orientations/name/{name}", esc(name)), True)]
+    cells = [_name(row, _button(wire, "fly-image", name, f"choose {name} and fly there", f"orientations/name/{name}", esc(name)))]
     for column in columns[1:7]:
         value, sigma = v.get(column.key), v.get(f"s{column.key}")
         if value is None or sigma is None:

@@ -33,7 +33,6 @@ from .patches import found_html, headline
 from .widgets import BOX, MUTED, QUIET, Html, bind, css, esc, prop, put, swatch, table
 
 NEW = "new tie point"
-WIDTHS = {"narrow": 410, "wide": 760, "very wide": 1200}
 JUDGE = ("Accept", "Reject", "Undo", "Redo")
 
 
@@ -70,8 +69,6 @@ class MatchingPanel:
         self._options(desk)
         self._proposals = Html(gui)
         self._ties(desk)
-        self._width = gui.add_dropdown("Panel", tuple(WIDTHS), hint="How wide this panel is; its edge can be dragged as well.")
-        self._width.on_update(lambda _: gui.main_panel.set_width(WIDTHS[self._width.value]))
 
     def _options(self, desk: Desk) -> None:
         gui, emit = desk.gui, desk.emit

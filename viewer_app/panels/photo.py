@@ -10,12 +10,15 @@ import viser
 
 from ..actions import Action, Aim, Clicking, ForgetSpots, Place, Plot, Show, Unmark, UseBox
 from ..bridge import Wire
+from ..desktop import PHOTOS, Desktop, SizePhoto
 from ..ground import nice
 from ..loading import crop
 from ..next_point import NextPoint, expected
 from ..photo_view import (
     Cut,
+    DrawnPhoto,
     PanPhoto,
+    PhotoView,
     ShowWhole,
     ZoomPhoto,
     ZoomToMark,
@@ -31,11 +34,14 @@ from ..spots import plotted
 from ..state import MODELS, Photo, State, Work
 from ..tabs import Command, Desk, Tab
 from ..theme import CHECK, CONTROL, INITIAL, RESIDUAL
+from ..widths import picture_height
 from .widgets import BOX, MUTED, QUIET, Html, bind, css, decimals, esc, jpeg, prop, put, swatch, table
 
 CLICKS = {"measures the point": "measure", "gives ground coordinates": "monoplot"}
 ZOOMS = ("+", "−", "whole", "800 %")
 NEXT = "choose the next point that is not measured in this photo. Key: N"
+LARGEST = 4_500_000
+"""Characters of a picture that is sent, at most: a page is never sent 5 MB at once."""
 HALF = 24
 """Half side of the magnifier, pixels of the file."""
 
@@ -65,15 +71,18 @@ class PhotoPanel:
             if buttons.value in zooms:
                 emit(zooms[buttons.value])
 
+        self._size = gui.add_dropdown(
+            "Photo size", PHOTOS, hint="How much of the page the photo takes; the panel's edge can be dragged as well. Key: V."
+        )
+        bind(self._size, emit, SizePhoto)
         self._picture = Html(gui)  # the picture itself, sent once per photo
         self._overlay = Html(gui)
         self._vectors = gui.add_slider(
-            "Photo residuals ×", 1.0, 1000.0, 1.0, 50.0, hint="Exaggeration of the residual vectors on the photo."
+            "Photo vectors ×", 1.0, 1000.0, 1.0, 50.0, hint="Exaggeration of the residual vectors on the photo."
         )
         bind(self._vectors, emit, lambda value: Show("photo_vectors", float(value)))
-        self._magnifier = Html(gui)
         self._place = gui.add_button(
-            "Place mark", hint="The mark becomes the observation of its point; everything is solved again.", color="green"
+            "Place mark", hint="The mark becomes the observation of its point; everything is solved again. Key: M."
         )
         self._place.on_click(lambda _: emit(Place()))
         self._unmark = gui.add_button("Drop mark", hint="Forget the mark.", color=QUIET)
@@ -90,9 +99,9 @@ class PhotoPanel:
         coded = "" if photo is None else _encoded(photo) if part is None else _coded(part)
         self._picture.set("" if photo is None else f"<style>:root{{--collinea-photo:url({coded})}}</style>")
         self._overlay.set(photo_html(state, self._wire))
-        self._magnifier.set("" if photo is None or state.mark is None else magnifier_html(state, photo, self._wire))
-        for button in (self._place, self._unmark):
-            prop(button, "visible", state.mark is not None)
+        put(self._size, state.room(Desktop).photo)
+        for button in (self._place, self._unmark):  # always there: the photo must not move under the pointer that just marked it
+            prop(button, "disabled", state.mark is None)
         put(self._click, next(words for words, what in CLICKS.items() if what == state.click))
         self._spots.set(spots_html(state))
         prop(self._forget, "visible", bool(state.spots))
@@ -100,7 +109,12 @@ class PhotoPanel:
 
 @lru_cache(maxsize=24)
 def _coded(part: Cut) -> str:
-    return jpeg(picture(*part), 88)
+    """As good as its size allows."""
+    pixels = picture(*part)
+    for quality in (88, 70, 50):
+        if len(coded := jpeg(pixels, quality)) <= LARGEST:
+            return coded
+    return jpeg(np.ascontiguousarray(pixels[::2, ::2]), 70)
 
 
 @lru_cache(maxsize=4)
@@ -115,7 +129,7 @@ def photo_html(state: State, wire: Wire) -> str:
     camera, has = state.block.camera_of(state.image), state.image in state.assets.photos
     seen = next((s for m in MODELS if (s := sight(state, m)) is not None), None)
     shown = window(state)
-    unit = shown.width / 420
+    unit = shown.width / state.room(PhotoView).pane
     scale = 0.0 if seen is None else _scale(state, seen)
     shapes = _observations(state.work, state.image, state.point, unit) + ("" if seen is None else _residuals(seen, scale, unit))
     if state.mark is not None:
@@ -126,14 +140,17 @@ def photo_html(state: State, wire: Wire) -> str:
         )
     shapes += _places(state, unit) + _expected(state, unit)
     background = "background:var(--collinea-photo) 0 0/100% 100%" if has else "background:rgba(128,128,128,.2)"
-    shape = f"width:min(100%,calc(62vh*{camera.width / camera.height:.4f}))"
+    size = state.room(Desktop).photo
+    shape = f"width:min(100%,calc({picture_height(size)}*{camera.width / camera.height:.4f}))"
     grain = "image-rendering:pixelated;" if percent(state) >= 150 else ""
     surface = wire.surface("photo").replace(
-        'style="cursor:crosshair"', f'style="cursor:crosshair;display:block;overflow:hidden;{grain}{shape};{background}"'
+        'style="cursor:crosshair"', f'style="cursor:crosshair;display:block;overflow:hidden;width:100%;{grain}{background}"'
     )
     following = f"<span {wire.attributes('next-point', '', NEXT)}>next point ▸</span>"
     target = f"click to mark <b>{esc(state.point)}</b>" if state.point else "choose a point (tab Points), then click it"
     target += f" · {following}"
+    photo = state.assets.photos.get(state.image)
+    magnifier = "" if photo is None or state.mark is None else magnifier_html(state, photo, wire)
     if not len(state.block.points):
         target = "no points yet: tie points come from the tab Matching"
     if state.click == "monoplot":
@@ -142,12 +159,13 @@ def photo_html(state: State, wire: Wire) -> str:
     missing = "" if has else f"<div {MUTED}>No photo: measurements only.</div>"
     return (
         f"<div {BOX}><div>{esc(state.image)} <span {MUTED}>{camera.width} × {camera.height} px ·</span> {target}</div>{missing}"
-        f'<svg role="img" aria-label="Photo {esc(state.image)}" viewBox="{shown.left:.6f} {shown.top:.6f} '
-        f'{shown.width:.6f} {shown.height:.6f}" '
-        f"{surface}>{shapes}</svg>"
+        f'<div style="position:relative;overflow:hidden;{shape}"><svg id="collinea-photo" role="img" '
+        f'aria-label="Photo {esc(state.image)}" '
+        f'viewBox="{shown.left:.6f} {shown.top:.6f} {shown.width:.6f} {shown.height:.6f}" '
+        f"{surface}>{shapes}</svg>{'' if size == 'small' else magnifier}</div>{magnifier if size == 'small' else ''}"
         f"<div {MUTED}><span data-percent>{percent(state):.0f} %</span> · "
         f"{drawn}"
-        f"wheel zooms, Shift+drag moves, a dragged rectangle uses only the GCPs in it</div></div>"
+        f"wheel zooms, Shift+drag moves, drag uses only the GCPs within</div></div>"
     )
 
 
@@ -214,20 +232,30 @@ def _residuals(seen: Sight, scale: float, unit: float) -> str:
 
 
 def magnifier_html(state: State, photo: Photo, wire: Wire) -> str:
-    """File pixels around the mark, enlarged; a click moves the mark there, the arrows by a tenth of a file pixel."""
+    """File pixels around the mark, enlarged; a click moves the mark there, the arrows by a tenth of a file pixel. Below a small
+    photo, in the corner of a large one that is farthest from the mark."""
     assert state.mark is not None
     camera = state.block.camera_of(state.image)
     pixels, x, y = crop(photo, (camera.width, camera.height), state.mark.col, state.mark.row, HALF, pyramid(state, photo))
     side, x, y = 2 * HALF + 1, x + 0.5, y + 0.5
+    place, width = "display:flex;flex-direction:row-reverse;justify-content:flex-end;gap:8px;margin-top:4px", "168px;flex:none"
+    if state.room(Desktop).photo != "small":
+        width = "100%"
+        u, v = window(state).place(state.mark.col, state.mark.row)
+        place = (
+            f"position:absolute;{'right' if u < 0.5 else 'left'}:6px;{'bottom' if v < 0.5 else 'top'}:6px;width:min(240px,38%);"
+            "padding:3px 5px 5px;border-radius:4px;background:var(--mantine-color-body);box-shadow:0 0 0 1px rgba(128,128,128,.6)"
+        )
     surface = wire.surface("magnifier").replace(
-        'style="cursor:crosshair"', 'style="cursor:crosshair;display:block;width:100%;max-width:250px"'
+        'style="cursor:crosshair"', f'style="cursor:crosshair;display:block;width:{width}"'
     )
     arrows = " ".join(
         f'<button type="button" {wire.attributes("nudge", d, f"move the mark {w} by a tenth of a pixel")}>{s}</button>'
         for d, s, w in (("left", "←", "left"), ("right", "→", "right"), ("up", "↑", "up"), ("down", "↓", "down"))
     )
     return (
-        f"<div {BOX}><div><b>{esc(state.mark.point)}</b> at col {state.mark.col:.2f}, row {state.mark.row:.2f} px {arrows}</div>"
+        f'<div style="{place}"><div><b>{esc(state.mark.point)}</b> at col {state.mark.col:.2f}, row {state.mark.row:.2f} px '
+        f"{arrows}</div>"
         f'<svg role="img" aria-label="Magnifier" viewBox="0 0 {side} {side}" {surface}>'
         f'<image href="{jpeg(pixels, 92)}" width="{side}" height="{side}" style="image-rendering:pixelated"/>'
         f'<path d="M0 {y:.3f}H{x - 1.5:.3f}M{x + 1.5:.3f} {y:.3f}H{side}M{x:.3f} 0V{y - 1.5:.3f}M{x:.3f} {y + 1.5:.3f}V{side}" '
@@ -321,6 +349,10 @@ def _heard_out(state: State, value: Any) -> Action | None:
     return ZoomPhoto(1 / 1.5, value[0], value[1], value[2] * 10_000) if isinstance(value, tuple) and len(value) == 3 else None
 
 
+def _heard_size(state: State, value: Any) -> Action | None:
+    return DrawnPhoto(value[0] * 10_000, value[1] * 10) if isinstance(value, tuple) and len(value) == 2 else None
+
+
 def _heard_pan(state: State, value: Any) -> Action | None:
     return PanPhoto(value[0] - value[2], value[1] - value[3]) if isinstance(value, tuple) and len(value) == 4 else None
 
@@ -350,6 +382,7 @@ TAB = Tab(
         Command("Zoom photo in", ZoomPhoto(2.0), "Z"),
         Command("Zoom photo out", ZoomPhoto(0.5), "Z", "shift"),
         Command("Whole photo", ShowWhole(), "0"),
+        Command("Photo size: next", SizePhoto(), "V", hint="Larger, the whole scene, small.", tab="Photo"),
         Command("Zoom photo to the mark or point", ZoomToMark(), "8", hint="One photo pixel as eight of the page."),
     ),
     tasks=tasks,
@@ -357,6 +390,7 @@ TAB = Tab(
         "next-point": _heard_next,
         "photo-in": _heard_in,
         "photo-out": _heard_out,
+        "photo-size": _heard_size,
         "photo-pan": _heard_pan,
         "photo": _heard_photo,
         "photo-box": _heard_box,

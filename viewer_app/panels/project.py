@@ -13,6 +13,7 @@ from solvers.io import write_project
 from .. import theme
 from ..actions import ChooseImage, Saved, Say, Show
 from ..bridge import Wire
+from ..desktop import PANELS, Desktop, SizePanel
 from ..flying import Fly, asked_by, through
 from ..looking import Looking, Opacity, looked_through
 from ..overlay import overlay
@@ -73,6 +74,10 @@ class ProjectPanel:
             button.on_click(lambda event, way=way: way(event.client))
         self._dark = gui.add_checkbox("Dark", False, hint="Dark or light colours, for every browser of this viewer.")
         bind(self._dark, emit, lambda value: Show("dark", bool(value)))
+        self._width = gui.add_dropdown(
+            "Panel width", PANELS, hint="Of this panel, for tables and pairs of photos; its edge can be dragged as well. Key: T."
+        )
+        bind(self._width, emit, SizePanel)
 
     def _ways(self) -> dict[str, tuple[str, Way]]:
         """Buttons: label, hint and what is done for the browser that asked."""
@@ -98,6 +103,7 @@ class ProjectPanel:
 
     def draw(self, state: State) -> None:
         put(self._dark, state.view.dark)
+        put(self._width, state.room(Desktop).panel)
         seen = (state.work, state.assets, state.image, state.view.dark)
         if seen != self._drawn:
             self._drawn = seen
@@ -172,7 +178,13 @@ def _heard_image(state: State, value: Any) -> ChooseImage | None:
 
 
 TAB = (
-    Tab("Project", ProjectPanel, order=90, heard={"image": _heard_image}),
+    Tab(
+        "Project",
+        ProjectPanel,
+        order=90,
+        heard={"image": _heard_image},
+        commands=(Command("Panel width: next", SizePanel(), "T", hint="Wider, very wide, as the page has it."),),
+    ),
     Tab(
         "Scene",
         ScenePanel,

@@ -63,6 +63,13 @@ def swatch(colour: Colour) -> str:
 QUIET = (84, 92, 100)
 """Colour of a button that is not what one mostly comes for."""
 BOX = 'style="padding:2px 12px 8px;font-size:12px;line-height:1.45"'
+MORE = "More columns to the right: scroll, or widen the panel (key T)."
+"""Stands below a table as long as that is wider than its panel."""
+RIM = (
+    "background:linear-gradient(to left,var(--mantine-color-body) 40%,transparent) right/28px 100% no-repeat local,"
+    "linear-gradient(to left,rgba(128,128,128,.6),transparent) right/10px 100% no-repeat scroll;"
+)
+"""A shadow along the right edge of what can be scrolled farther that way."""
 MUTED = 'style="color:color-mix(in srgb,currentColor 65%,transparent)"'
 
 
@@ -83,9 +90,15 @@ def table(head: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]], captio
     )
     limit = f"max-height:{height}px;overflow:auto;" if height else "overflow-x:auto;"
     return (
-        f'<div style="{limit}"><table aria-label="{esc(caption)}" style="border-collapse:collapse;width:100%;font-size:{size}px;'
-        f'font-variant-numeric:tabular-nums"><thead><tr>{first}</tr></thead><tbody>{body}</tbody></table></div>'
+        f'<div data-wide style="{limit}{RIM}"><table aria-label="{esc(caption)}" '
+        f'style="border-collapse:collapse;width:100%;font-size:{size}px;'
+        f'font-variant-numeric:tabular-nums"><thead><tr>{first}</tr></thead><tbody>{body}</tbody></table></div>{more()}'
     )
+
+
+def more() -> str:
+    """The line below a table that says that it is wider than its panel; the page shows it where that is so."""
+    return f"<div data-more hidden {MUTED}>{MORE}</div>"
 
 
 def decimals(sigma: float | None, most: int = 6) -> int:
