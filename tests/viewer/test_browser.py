@@ -567,8 +567,8 @@ def drawn(app: App, v: ViserPage) -> None:
     """Until the viewer knows how wide the browser draws the photo, and that is as wide as it should be."""
 
     def known() -> bool:
-        [client] = app.server.get_clients()
-        wanted = photo_width(app.state.room(Desktop).photo, app._canvases[client], 1.5) - EDGE
+        canvas = v.page.evaluate("() => [window.__viserMutable.canvas.clientWidth, window.__viserMutable.canvas.clientHeight]")
+        wanted = photo_width(app.state.room(Desktop).photo, canvas, 1.5) - EDGE
         width = v.box(v.page.get_by_role("img", name="Photo "))["width"]
         return abs(width - wanted) < 2 and abs(app.state.room(PhotoView).pane - width) < 0.01
 
