@@ -26,9 +26,9 @@ from viewer_app import theme
 from viewer_app.actions import Show
 from viewer_app.app import App
 from viewer_app.flying import Fly
-from viewer_app.ground import symbol_size
+from viewer_app.ground import site, symbol_size
 from viewer_app.scene import scene
-from viewer_app.values import Segments
+from viewer_app.values import PointCloud, Segments
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(400)]
 
@@ -129,6 +129,28 @@ def test_points_appear_where_projection_says_and_in_their_colour(points_only: Se
         and np.linalg.matrix_rank(expected_pixels(app, v) - expected_pixels(app, v).mean(axis=0), tol=5.0) == 2
     )
     assert distances.max() < 3.0 and colours.max() <= 2.0
+
+
+def test_lines_and_points_are_seen_in_the_colours_of_the_legend(points_only: Session) -> None:
+    """Half of the colours as lines, half as points: each lies within 2/255 of what the legend says."""
+    app, v = points_only
+    honest = scene(app.state)
+    low, high = site(app.state)
+    colours = list(theme.legend().items())
+    at = np.linspace(low, high, len(colours))
+    ends = np.stack([at, at + np.array([0.3, -0.3, 0]) * (high - low)[:2].max()], axis=1)
+    lines = {f"/line/{name}": Segments(ends[None, k], colour, 7.0) for k, (name, colour) in enumerate(colours) if k % 2 == 0}
+    dots = np.array([colour for _, colour in colours[1::2]], np.uint8)
+    app._painter.paint({**lines, "/dots": PointCloud(at[1::2], dots, 3 * symbol_size(app.state))})
+    settle(app, v)
+    try:
+        picture = np.asarray(v.wait_still(tolerance=0.05, timeout=120), float)
+        for name, colour in colours:
+            error = np.abs(picture[..., :3] - np.array(colour)).max(axis=-1)[picture[..., 3] > 250]
+            assert (error <= 2).sum() > 20, (name, error.min())
+    finally:
+        app._painter.paint(honest)
+        settle(app, v)
 
 
 def test_the_size_of_a_point_follows_its_distance(points_only: Session) -> None:

@@ -42,24 +42,13 @@ LISTEN = """() => { window.told = []; const look = () => {
 
 
 def test_the_work_says_what_it_does_how_long_still_and_can_be_cancelled(session: Session) -> None:
-    app, v = session
+    _, v = session
     told = v.page.evaluate("() => window.told")
     said = [words for words, _ in told]
     assert any(words.startswith("Registering 5 photos, simultaneous") for words in said)
     assert any("sequential" in words for words in said)
     assert any(re.fullmatch(r"Tiles: \d+ of \d+, about \d+ s left….*", words) for words in said), set(said)
     assert all(cancel for _, cancel in told)
-    made = dict(room(app).made)
-    act(app, v, Choose("blend", "none"))
-    v.click_button("Make mosaic")
-    v.page.get_by_role("button", name="Cancel mosaic work", exact=True).click()
-    until(app, v, lambda: room(app).message == "Cancelled." and not working(app.state), "the end of the work")
-    v.page.get_by_text("Cancelled.").first.wait_for()
-    assert room(app).made["sequential"] is made["sequential"]
-    v.hotkey("Control+z")  # the choice
-    v.wait_until(lambda: room(app).ask.blend != "none", "undo")
-    v.click_button("Make mosaic")
-    until(app, v, lambda: "simultaneous" in room(app).wanted and room(app).made["simultaneous"].done, "the mosaic", 250)
 
 
 def room(app: App) -> Mosaic:
@@ -167,3 +156,14 @@ def test_a_click_measures_and_another_finds_a_conjugate_point(session: Session) 
     assert made.block is app.state.block and made.renewed < made.total
     v.click_button("Undo last measurement")
     until(app, v, lambda: len(app.state.block.observations) == before, "undo")
+
+
+def test_making_is_cancelled_and_what_is_finished_stays(session: Session) -> None:
+    app, v = session
+    made = room(app).made["simultaneous"]
+    act(app, v, Choose("blend", "none"))
+    v.click_button("Make mosaic one by one")
+    v.page.get_by_role("button", name="Cancel mosaic work", exact=True).click()
+    until(app, v, lambda: room(app).message == "Cancelled." and not working(app.state), "the end of the work")
+    v.page.get_by_text("Cancelled.").first.wait_for()
+    assert room(app).made["simultaneous"] is made and "sequential" not in room(app).wanted
