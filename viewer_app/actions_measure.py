@@ -86,7 +86,7 @@ def _measure(state: State, action: Aim | Place | Unmark) -> State:
         return replace(state, point=point, mark=Mark(point, float(action.col), float(action.row)), message="")
     if state.mark is None:
         return state
-    said = f"{state.mark.point} is measured in {state.image}; N chooses the next point to be measured there."
+    said = f"{state.mark.point} is measured in {state.image}; N chooses the next point."
     return replace(edit(state, block=_observed(state, state.mark)), mark=None, message=said)
 
 

@@ -113,6 +113,7 @@ def _of_every_image(state: State, action: OfEveryImage) -> State:
     return state.with_room(replace(room, per_image=own, free=free)) if (own, free) != (room.per_image, room.free) else state
 
 
+NOTHING = "Nothing is measured yet: find tie points in the tab Matching, or mark points in the tab Photo; then run the bundle."
 OPTIONS = ("model", "transform", "datum", "free", "loss", "start", "per_image", "images", "shutter")
 
 
@@ -154,6 +155,8 @@ def _follow(state: State, action: FollowBundle) -> State:
 @handles(RunBundle)
 def _run(state: State, action: RunBundle) -> State:
     room = state.room(Bundle)
+    if not len(state.block.observations):
+        return state.with_room(replace(room, error=NOTHING))
     taken = taking_part(state.block, room.images)
     if taken is not None and len(taken) < 2 and not action.on:
         return state.with_room(replace(room, error=f"'{room.images.strip()}' means {len(taken)} image(s); a bundle takes two or "

@@ -76,7 +76,7 @@ def test_a_mark_that_was_placed_says_how_to_go_on_until_all_are_measured(known: 
         at = expected(state)
         assert state.point == name and at is not None
         state = update(update(state, Aim(*at)), Place())
-        assert state.message == f"{name} is measured in left; N chooses the next point to be measured there."
+        assert state.message == f"{name} is measured in left; N chooses the next point."
         assert expected(state) is None and "data-expected" not in photo_html(state, WIRE)
     done = update(state, NextPoint())
     assert done.message == "Every control and check point that left should show is measured in it." and done.point == GONE[-1]

@@ -8,6 +8,7 @@ from solvers.cameras import PARAMETERS
 
 from .. import theme
 from ..bridge import Wire
+from ..bundle_actions import NOTHING
 from ..bundle_rows import last_misfit, misfit, point_rms
 from ..bundle_scene import judged, scale_end
 from ..bundle_state import COLOURED, Bundle, Held
@@ -27,7 +28,7 @@ UNITS = {"c": "mm", "xp": "mm", "yp": "mm", "k1": "mm⁻²", "k2": "mm⁻⁴", "
 def summary(state: State) -> str:
     """How it goes or how it ended, and everything a person should know of it."""
     room = state.room(Bundle)
-    lines = [f'<div role="status" aria-label="Bundle">{_headline(room)}</div>']
+    lines = [f'<div role="status" aria-label="Bundle">{_headline(state, room)}</div>']
     if room.error:
         lines.append(f'<div role="alert" style="color:{css(theme.RESIDUAL)}">{esc(_sentence(room.error))}</div>')
     if room.rows and room.block is not state.block:
@@ -47,11 +48,14 @@ def _sentence(text: str) -> str:
     return text[:1].upper() + text[1:] + ("" if text.endswith((".", "!", "?")) else ".")
 
 
-def _headline(room: Bundle) -> str:
+def _headline(state: State, room: Bundle) -> str:
     if room.result is None:
         if room.progress:
             return esc(room.progress)
-        return "" if room.rows or room.error else f"<span {MUTED}>Adjust all images together: choose, then Run bundle.</span>"
+        if room.rows or room.error:
+            return ""
+        todo = "Adjust all images together: choose, then Run bundle." if len(state.block.observations) else NOTHING
+        return f"<span {MUTED}>{todo}</span>"
     r, layout = room.result, room.layout
     sigma0 = "undetermined" if r.sigma0 is None else f"{r.sigma0:.3f}"
     end = "" if r.converged else " <b>not converged</b>"

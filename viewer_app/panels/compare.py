@@ -110,6 +110,8 @@ def _none_yet(state: State) -> str:
     """Why there is nothing to compare, and what to do."""
     if measured(state.block).get(state.image):
         return f"No solution of {esc(state.image)} yet."
+    if "control" not in state.block.points.role:
+        return "Models are compared by control points, and this project has none; they come with a list (collinea init)."
     return "Both models are compared here once an image is oriented: mark at least three control points on its photo (tab Photo)."
 
 

@@ -25,6 +25,10 @@ from .widgets import BOX, MUTED, QUIET, RIM, Html, bind, css, decimals, esc, mor
 
 THUMB = 44
 """Longer side of a thumbnail in the list, pixels of the page."""
+NONE = (
+    "No points yet: tie points come from the tab Matching; control points with a list that collinea init was given, or in the "
+    "project's points.csv."
+)
 STATUS = {"solved": "✓", "one model": "½", "not converged": "!", "no solution": "✗", "not measured": "–", "waits": "…"}
 
 
@@ -47,6 +51,9 @@ class PointsPanel:
             "click: ☑ on or off · name flies there · role changes it · headings sort · numbers are metres, "
             "Enter solves anew · keys ↑ ↓ Enter"
         )
+        if not len(state.block.points):
+            self._table.set(f"<div {BOX}><div {MUTED}>{NONE}</div></div>")
+            return
         self._table.set(f"<div {BOX}>{head}{table_html(state, 'points', self._desk.wire)}<div {MUTED}>{hint}</div></div>")
 
 

@@ -92,29 +92,35 @@ def _number(value: float | None) -> str:
     return "–" if value is None or not np.isfinite(value) else f"{value:.3f}"
 
 
+LINE = 17
+"""Height of a line over the tabs, pixels of the page. Two always have room: nothing below moves when something is said."""
+
+
 def status(state: State, left: Callable[[int], float | None] = lambda todo: None) -> str:
-    """One line over all tabs: what is going on and what was said last; else what is open. left: seconds that so many images
-    take, as far as known."""
+    """What was said last and what is going on, over all tabs; else what is open. left: seconds that so many images take, as far as
+    known."""
     todo = {(j.image, j.model) for j in wanted(state)}
     busy = [m for m in (*MODELS, ADVICE) if (state.image, m) in todo]
-    lines = []
+    said = [f"<span>{esc(state.message)}</span>"] if state.message else []
     if busy:
-        lines.append(f"<div>Solving {esc(state.image)}: {' and '.join(busy)} …</div>")
+        said.append(f"<span>Solving {esc(state.image)}: {' and '.join(busy)} …</span>")
     elif todo:
         count = waiting(state)
         seconds = left(count)
         long = "" if seconds is None else f", about {seconds:.0f} s left"
-        lines.append(f"<div {MUTED}>Solving the other images: {count} to do{long} …</div>")
-    if state.message:
-        lines.append(f"<div>{esc(state.message)}</div>")
-    still = f"<div {MUTED}>{esc(' · '.join(filter(None, (state.block.name, state.image, state.point))))}</div>"
-    style = 'style="padding:4px 12px 0;font-size:12px;line-height:1.45"'
-    return f'<div {style} role="status" aria-label="Status">{"".join(lines) or still}</div>'
+        said.append(f"<span {MUTED}>Solving the other images: {count} to do{long} …</span>")
+    still = f"<span {MUTED}>{esc(' · '.join(filter(None, (state.block.name, state.image, state.point))))}</span>"
+    style = f'style="padding:4px 12px 2px;font-size:12px;line-height:{LINE}px;min-height:{2 * LINE + 6}px;box-sizing:border-box"'
+    return f'<div {style} role="status" aria-label="Status">{" ".join(said) or still}</div>'
 
 
 def words(state: State) -> str:
     """What went wrong and what to mind, in sentences."""
-    lines = []
+    lines, warned = [], {}  # what both models are warned of is said once
+    for model in MODELS:
+        solution = state.solution(model)
+        for w in solution.orientation.warnings if solution and solution.orientation else ():
+            warned[w] = warned.get(w, "") + swatch(COLOURS[model])
     for model in MODELS:
         solution = state.solution(model)
         if solution is None:
@@ -122,7 +128,7 @@ def words(state: State) -> str:
         if solution.error and "control" in state.block.points.role:
             lines.append(f"<div>{swatch(COLOURS[model])}<b>No {model} solution.</b> {esc(solution.error)}</div>")
         if solution.orientation:
-            lines += [f"<div>{swatch(COLOURS[model])}{esc(w)}</div>" for w in solution.orientation.warnings]
+            lines += [f"<div>{warned.pop(w)}{esc(w)}</div>" for w in solution.orientation.warnings if w in warned]
             if solution.orientation.rejected:
                 lines.append(
                     f"<div>{swatch(COLOURS[model])}rejected as blunders: {esc(', '.join(solution.orientation.rejected))}</div>"
@@ -166,7 +172,8 @@ def _unsaid(state: State) -> list[str]:
         )
     elif not seen:
         said.append(
-            "No point is measured in this image yet: choose a point, open the tab Photo, click where you see it, place the mark."
+            "No point is measured in this image yet: in the tab Photo, N chooses a point, a click where you see it marks it, M "
+            "places the mark."
         )
     if state.image not in state.assets.truth and state.assets.truth:
         said.append("The simulation knows no truth for this image.")
@@ -197,6 +204,8 @@ def point_table(state: State, wire: Wire) -> str:
         for s in seen:
             cells += s.get(name, ("", ""))
         rows.append((f'{attributes} {style} data-point="{esc(name)}"', cells))
+    if not rows:
+        return ""
     head = ("point", "role", *(f"{swatch(COLOURS[m])}v {axis}" for m in MODELS for axis in ("col", "row")))
     on = len(state.control())
     hint = "residuals in px, observed − projected · click a row to switch its point"

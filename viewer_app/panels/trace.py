@@ -10,7 +10,7 @@ import viser
 from ..actions import GoTo, Play, Speed, Step
 from ..figures import CORRELATION, ELEMENTS, FIGURES, RESIDUALS, ChooseFigure, Figure
 from ..kept_run import KeepRun, kept_of, scene
-from ..state import State
+from ..state import State, wanted
 from ..tabs import Command, Desk, Tab
 from ..traces import row_words, traces
 from .figures import correlation_html, elements_html, residuals_html
@@ -18,10 +18,10 @@ from .plots import Curve, plot
 from .widgets import BOX, MUTED, Html, bind, prop, put, swatch
 
 BUTTONS = ("|◀", "◀", "▶❙❙", "▶", "▶|")
-NOTHING = (
-    "No iteration yet. They are stepped through here once three control points are marked on the photo (tab Photo) or a bundle "
-    "is run (tab Bundle)."
-)
+SOON = "The first iteration is on its way …"
+NOTHING = "No iteration yet: the rows of an adjustment are stepped through here, of {}."
+WITH, WITHOUT = "an image with three marked control points (tab Photo) or of a bundle (tab Bundle)", "a bundle (tab Bundle)"
+"""What makes rows, in a project with control points and without."""
 PLOTS = (("σ0", "sigma0"), ("cost", "cost"), ("step [σ]", "step"))
 
 
@@ -91,7 +91,9 @@ class TracePanel:
             end = f"<span {MUTED}> · {stop}</span>" if stop else ""
             lines.append(f"<div>{swatch(colour)}{words}{end}</div>")
         playing = "<div>playing ▶</div>" if state.playing else ""
-        return "".join(lines) + playing or f"<div {MUTED}>{NOTHING}</div>"
+        way = WITH if "control" in state.block.points.role else WITHOUT
+        waits = any(job.image == state.image for job in wanted(state))
+        return "".join(lines) + playing or f"<div {MUTED}>{SOON if waits else NOTHING.format(way)}</div>"
 
     def _plots(self, state: State) -> str:
         found = traces(state)
