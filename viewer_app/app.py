@@ -23,7 +23,7 @@ from .actions import Action, Say, Tick, update
 from .actions_solve import Failed, Rows, Solved
 from .bridge import LOCAL_HOSTS, Wire, controls, dress_labels, guard_values, open_server
 from .desktop import Desktop, OpenedTab
-from .flying import Fly, asked_by, flight
+from .flying import Fly, asked_by, beside_panel, flight
 from .home import home, home_beside
 from .jobs import Jobs
 from .keeping import Keeper, resume
@@ -408,6 +408,8 @@ class App:
                 continue
             to = flight(self._state, action, np.array(camera.position), np.array(camera.look_at))
             if to is not None:
+                if (size := self._canvases.get(number)) is not None:
+                    to = beside_panel(*to, *size, float(camera.fov))
                 with client.atomic():
                     camera.position, camera.look_at = to
 

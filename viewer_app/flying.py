@@ -10,9 +10,13 @@ from .acting import Action, handles, update
 from .actions import ChooseImage, ChoosePoint
 from .bundle_rows import place
 from .ground import site
+from .home import PANEL
 from .looking import look_through, looked_through
 from .scene import any_exterior, frustum_depth
 from .state import State
+
+BESIDE = 60
+"""How far from the panel over the scene the middle of what is flown to should be, pixels of the page."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +68,20 @@ def flight(state: State, action: Fly, position: np.ndarray, look_at: np.ndarray)
     length = float(np.linalg.norm(way))
     way = way / length if length > 1e-9 else np.array([0.4, -0.8, 0.45])
     return at + far * way, at
+
+
+def beside_panel(
+    position: np.ndarray, look_at: np.ndarray, width: float, height: float, fov: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Position (3,) and point looked at (3,) moved alike, so that what was looked at stands beside the panel over the scene where
+    it would hide the middle of a canvas of width x height px; fov: vertical [rad]."""
+    way = np.asarray(look_at, float) - position
+    right = np.cross(way, [0.0, 0.0, 1.0])
+    length = float(np.linalg.norm(right))
+    if width / 2 > PANEL + BESIDE or width < PANEL + 4 * BESIDE or length < 1e-9:
+        return position, look_at
+    moved = -right / length * (PANEL / 2) * float(np.linalg.norm(way)) * np.tan(fov / 2) / (height / 2)
+    return position + moved, look_at + moved
 
 
 def _before_points(state: State) -> tuple[np.ndarray, np.ndarray] | None:

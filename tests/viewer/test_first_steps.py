@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from solvers import Observations, Points
+from solvers import Observations, Points, Prior
+from solvers.io import write_project
 from solvers.orientation import Orientation
 from viewer_app.actions import Say, Solved, UseOnly, update
 from viewer_app.bridge import Wire
 from viewer_app.bundle_actions import RunBundle
 from viewer_app.bundle_state import Bundle
+from viewer_app.loading import open_project
 from viewer_app.panels.bundle_tables import summary
 from viewer_app.panels.compare import solutions_table
 from viewer_app.panels.tables import point_table, status, words
@@ -38,6 +41,24 @@ def test_a_bundle_of_nothing_says_at_once_what_to_do(state: State, points: bool)
     assert "tab Matching" in summary(bare) and "choose, then Run bundle" in summary(state)
     asked = update(bare, RunBundle())
     assert not asked.room(Bundle).task and "find tie points in the tab Matching" in asked.room(Bundle).error
+
+
+CASES = [("control", True, "control"), ("tie", True, "prior"), ("tie", False, "free")]
+
+
+@pytest.mark.parametrize(("role", "placed", "datum"), CASES)
+def test_the_datum_is_taken_from_what_the_project_has(tmp_path: Path, state: State, role: str, placed: bool, datum: str) -> None:
+    block = state.block
+    images = tuple(replace(i, prior=Prior(np.array([500100.0, 5400200.0, 400.0])) if placed else None) for i in block.images)
+    points = replace(block.points, role=(role,) * len(block.points))
+    write_project(replace(block, images=images, points=points), tmp_path / "p")
+    opened = open_project(tmp_path / "p")
+    assert opened.room(Bundle).datum == datum
+
+
+def test_why_a_bundle_failed_is_said_in_the_words_of_the_tab(state: State) -> None:
+    failed = state.with_room(Bundle(error=f"{state.block.name}: nothing gives the datum; take --datum free"))
+    assert "Nothing gives the datum; take datum free." in summary(failed)
 
 
 def test_without_marks_or_control_every_tab_says_what_to_do(state: State) -> None:

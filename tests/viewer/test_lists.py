@@ -14,7 +14,8 @@ from tests.viewer.test_actions import solve_all
 from viewer_app.acting import update
 from viewer_app.actions import ChoosePoint, Undo
 from viewer_app.actions_points import EditPoint, SwitchRole
-from viewer_app.flying import Fly, flight
+from viewer_app.flying import Fly, beside_panel, flight
+from viewer_app.home import PANEL
 from viewer_app.lists import COLUMNS, ShowRows, SortBy, as_csv, rows_of, sort_key
 from viewer_app.panels.lists import _heard_edit, _heard_sort
 from viewer_app.state import State, wanted
@@ -128,6 +129,12 @@ def test_a_flight_ends_near_what_was_asked_for(solved: State) -> None:
     assert np.allclose(found[1], xyz) and np.linalg.norm(found[0] - xyz) < 200
     way = (found[0] - found[1]) / np.linalg.norm(found[0] - found[1])
     assert np.allclose(way, (position - look_at) / np.linalg.norm(position - look_at))
+    for width, shift in ((868, PANEL / 2), (2150, 0.0), (600, 0.0)):  # a narrow page's panel would hide the middle
+        to = beside_panel(*found, width, 800, 0.8)
+        ahead = (to[1] - to[0]) / np.linalg.norm(to[1] - to[0])
+        right = np.cross(ahead, [0.0, 0.0, 1.0]) / np.linalg.norm(np.cross(ahead, [0.0, 0.0, 1.0]))
+        drawn = 400 / np.tan(0.4) * ((xyz - to[0]) @ right) / ((xyz - to[0]) @ ahead)
+        assert abs(drawn - shift) < 1e-6 and np.allclose(to[0] - found[0], to[1] - found[1])
     image = flight(solved, Fly("image", "right"), position, look_at)
     assert image is not None and np.linalg.norm(image[1][:2] - [55, 25]) < 30
     assert flight(solved, Fly("image", "nobody"), position, look_at) is None

@@ -30,7 +30,7 @@ def summary(state: State) -> str:
     room = state.room(Bundle)
     lines = [f'<div role="status" aria-label="Bundle">{_headline(state, room)}</div>']
     if room.error:
-        lines.append(f'<div role="alert" style="color:{css(theme.RESIDUAL)}">{esc(_sentence(room.error))}</div>')
+        lines.append(f'<div role="alert" style="color:{css(theme.RESIDUAL)}">{esc(_here(state, room.error))}</div>')
     if room.rows and room.block is not state.block:
         lines.append(f"<div {MUTED}>Measurements or points have changed since; run the bundle again.</div>")
     elif room.rows and room.asked[:-1] != room.options:
@@ -42,6 +42,11 @@ def summary(state: State) -> str:
         if state.row < room.steps:
             lines.append(f"<div {MUTED}>Row {state.row} is shown; standard errors hold for row {room.steps} alone.</div>")
     return "".join(lines)
+
+
+def _here(state: State, why: str) -> str:
+    """Why there is no bundle: this project's, in the words of this tab, where options are no dashed words."""
+    return _sentence(why.removeprefix(f"{state.block.name}: ").replace("--", ""))
 
 
 def _sentence(text: str) -> str:
