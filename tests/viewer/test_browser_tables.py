@@ -12,6 +12,8 @@ from tests.browser import ViserPage
 from tests.viewer.sessions import Session, act, demo_session, settle, until
 from viewer_app.actions import ChooseImage, ChoosePoint, SwitchPoint, Undo
 from viewer_app.desktop import FITS, Desktop
+from viewer_app.flying import BESIDE
+from viewer_app.home import PANEL
 from viewer_app.lists import SortBy, rows_of
 from viewer_app.panels.widgets import MORE
 from viewer_app.scene import sight
@@ -241,8 +243,9 @@ def test_a_name_flies_there_in_the_browser_that_asked(session: Session) -> None:
     at = app.state.assets.frame.to_local(app.state.block.points.xyz[[app.state.block.point_index(name)]])[0]
 
     def there() -> bool:
-        camera = next(iter(app.server.get_clients().values())).camera
-        return app.state.point == name and bool(np.linalg.norm(np.array(camera.look_at) - at) < 1e-3)
+        [(width, height)] = app._canvases.values()
+        beside = (PANEL + width) / 2 if width / 2 < PANEL + BESIDE else width / 2  # where the panel does not hide it
+        return app.state.point == name and bool(np.allclose(v.project(at), [beside, height / 2], atol=1))
 
     v.wait_until(there, "the flight")
 

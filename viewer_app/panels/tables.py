@@ -97,7 +97,7 @@ LINE = 17
 
 
 def status(state: State, left: Callable[[int], float | None] = lambda todo: None) -> str:
-    """What was said last and what is going on, over all tabs; else what is open. left: seconds that so many images take, as far as
+    """What was said last and what is going on, over all tabs; else what is open. left: seconds that so many images take, where
     known."""
     todo = {(j.image, j.model) for j in wanted(state)}
     busy = [m for m in (*MODELS, ADVICE) if (state.image, m) in todo]
