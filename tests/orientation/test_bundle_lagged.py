@@ -41,6 +41,8 @@ def flown(seed: int, noise: float = 1.0, rate: float = 0.0, control: int = 6,
                 t = READOUT_MS * 1e-3 * (row - (camera.height - 1) / 2) / camera.height
                 then = Exterior(exp(w * t) @ exp(bend * t * t) @ at.m, at.centre + v * t)
                 pixel[o] = project(camera, then, sim.xyz[of.point[o]][None])[0]
+                if abs(pixel[o, 1] - row) < 1e-11:
+                    break
                 row = pixel[o, 1]
         assert image.prior is not None
         prior = replace(image.prior, centre=at.centre + 0.05 * rng.normal(size=3), sigma_m=np.full(3, 0.05), angles=None,
