@@ -335,7 +335,7 @@ class App:
 
     def _show_all(self, client: viser.ClientHandle) -> None:
         size, shown = self._canvases.get(client.client_id), client.camera
-        if size is None:
+        if size is None or not possible(shown):
             return
         position, at = home_beside(self._state, *size, float(shown.fov))
         self._homes[client.client_id] = [*self._homes.get(client.client_id, [])[-STARTS:], position]
@@ -359,6 +359,8 @@ class App:
         """A page has a camera of its own until it has taken ours."""
 
         async def looks(camera: viser.CameraHandle) -> None:
+            if not possible(camera):
+                return
             if self._unmoved(client.client_id, camera.position):
                 if client.client_id not in self._homes:
                     self._actions.put(lambda: self._frame(client))
@@ -397,7 +399,7 @@ class App:
         """Turn the view of the browser that asked."""
         for number, client in self.server.get_clients().items():
             camera = client.camera
-            if action.client not in (None, number) and action.what != "back":
+            if (action.client not in (None, number) and action.what != "back") or not possible(camera):
                 continue
             if action.what == "home":
                 self._view = ()
@@ -455,6 +457,16 @@ class App:
         action = next((a for meant in meanings if (a := meant(self._state, *ray)) is not None), None)
         if action is not None:
             self.emit(asked_by(action, event.client.client_id))
+
+
+FARTHEST = 1e12
+"""Farthest a browser may look from or to, m."""
+
+
+def possible(camera: viser.CameraHandle) -> bool:
+    """Whether a browser can look so: it says it itself, and anyone can say anything."""
+    numbers = np.array([*camera.position, *camera.look_at, *camera.up_direction, camera.fov], float)
+    return bool((np.abs(numbers) < FARTHEST).all()) and 0 < camera.fov < np.pi
 
 
 def _solved_otherwise(before: State, after: State) -> bool:

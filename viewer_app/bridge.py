@@ -172,7 +172,7 @@ def guard_values(server: viser.ViserServer, afterwards: Callable[[Callable[[], N
     inner = gui._handle_gui_updates
 
     async def checked(client_id: int, message: Any) -> None:
-        handle = gui._gui_input_handle_from_uuid.get(message.uuid)
+        handle = gui._gui_input_handle_from_uuid.get(message.uuid) if isinstance(message.uuid, str) else None
         if handle is None or set(message.updates) != {"value"} or not acceptable(handle, message.updates["value"]):
             logging.getLogger("collinea").debug("refused: %s", str(message)[:200])
             if handle is not None and not handle._impl.is_button:

@@ -87,7 +87,9 @@ def in_the_way(out: Path) -> Path | None:
 def _is_areas(file: Path) -> bool:
     """Whether a file holds areas of images, as they are written beside a mosaic."""
     try:
-        said = json.loads(file.read_bytes()) if file.is_file() and not file.is_symlink() else None
+        if file.is_symlink():
+            return False
+        said = json.loads(file.read_bytes())
         return bool(said["features"]) and all("image" in f["properties"] for f in said["features"])
     except (OSError, ValueError, TypeError, KeyError, RecursionError):
         return False

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import json
 import math
 import threading
 import time
@@ -28,6 +29,7 @@ from viewer_app.bundle_actions import RunBundle
 from viewer_app.bundle_state import Bundle
 from viewer_app.bundle_tasks import tasks as bundle_tasks
 from viewer_app.state import State
+from viewer_app.tabs import tabs
 
 COUNT = itertools.count()
 CAMERA = {
@@ -189,6 +191,20 @@ def test_a_panel_that_fails_is_said_and_the_viewer_lives_on(app: App, monkeypatc
     assert app._loop.is_alive() and app.state.message == ""
 
 
+WIRED = (
+    "left", "G02", "G05", "points", "name", "3", "99999999", '["G01", "X"]', '["G01", "sX", "0.3"]', '["points", "X"]', "", "[]",
+    '["left", "G01"]', "[[[[", '{"a": 1}', "0,0", "fly", "<img src=x>", "../../etc/passwd", "\ud800", "1e400", 7, None, True, {},
+    [0.5, 0.5], [0.2, 0.3, 0.7, 0.9], [0.5, 0.5, 0.05], [1e308, 0.1], [math.nan, 0.5], [-1, 2], [0.5], [0] * 9, [True, 0.2],
+)  # fmt: skip
+
+
+def wired(rng: np.random.Generator, kinds: Sequence[str]) -> str:
+    """What clickable HTML might send, or nearly."""
+    kind, value = (some[rng.integers(len(some))] for some in (kinds, WIRED))
+    text = json.dumps([kind, value, int(rng.integers(1000))])
+    return text if rng.random() < 0.9 else text[: rng.integers(len(text))]
+
+
 def mutated(rng: np.random.Generator, message: dict[str, Any]) -> dict[str, Any] | bytes:
     """The message with something in it replaced; now and then its bytes damaged."""
     strange = (
@@ -208,6 +224,8 @@ def mutated(rng: np.random.Generator, message: dict[str, Any]) -> dict[str, Any]
         "<img src=x>",
         2**63,
     )
+    if "wire" in message:
+        return {k: v for k, v in message.items() if k != "wire"} | {"updates": {"value": wired(rng, message["wire"])}}
     chance = rng.random()
     if chance < 0.003:  # closes the socket on us
         data = bytearray(msgspec.msgpack.encode(message))
@@ -238,11 +256,13 @@ def count_arrivals(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 def test_ten_thousand_mutated_messages_leave_the_server_alive_and_the_state_valid(
-    app: App, monkeypatch: pytest.MonkeyPatch
+    app: App, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     rng = np.random.default_rng(17)
     handles = controls(app.server.gui)
     seeds = [update(h, value=h.value) for h in handles if not isinstance(h, viser.GuiUploadButtonHandle)]  # type: ignore[attr-defined]
+    kinds_heard = sorted({kind for tab in tabs() for kind in tab.heard} | {"tab", "canvas", "nobody"})
+    seeds += [{**update(labelled(app, "wire"), value=""), "wire": kinds_heard}] * (len(seeds) // 2)
     seeds += [{"type": "GuiButtonHoldMessage", "uuid": "x", "frequency": 10.0}, {"type": "ShareUrlRequest"}]
     seeds += [{"type": "CommandTriggerMessage", "uuid": "x"}, {**CAMERA, "fov": math.nan, "position": [math.inf, 0, 0]}]
     kinds = {id(h): type(h.value) for h in handles}  # type: ignore[attr-defined]
@@ -254,6 +274,8 @@ def test_ten_thousand_mutated_messages_leave_the_server_alive_and_the_state_vali
     assert len(arrived) >= 10_000
     app._actions.join()
     state = app.state
+    said = [r.getMessage() for r in caplog.records if r.name == "collinea" and r.levelname == "ERROR"]
+    assert said == [], set(said)  # no panel and no action failed
     assert app._loop.is_alive() and state.work.off <= set(state.block.points.names)
     assert state.image in ("left", "right") and 0 <= state.row and state.point in (None, *state.block.points.names)
     now = [h for h in controls(app.server.gui) if id(h) in kinds]  # a message may also have opened the recording beside the scene

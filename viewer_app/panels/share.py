@@ -88,9 +88,12 @@ class SharePanel:
             return
         try:
             data = make(client)
-        except (PhotogrammetryError, OSError, TimeoutError, RuntimeError) as error:
-            logging.getLogger("collinea").exception("%s", label)
+        except (PhotogrammetryError, OSError, TimeoutError, RuntimeError) as error:  # RuntimeError: the browser has gone
             self._desk.emit(Say(f"{label}: {error}"))
+            return
+        except Exception as error:
+            logging.getLogger("collinea").exception("%s", label)
+            self._desk.emit(Say(f"{label} could not be made ({type(error).__name__}: {error}); see the terminal"))
             return
         client.send_file_download(f"{file_name(self._desk.state())}.{kind}", data)
 
