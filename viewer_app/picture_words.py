@@ -10,8 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from .bundle_state import Bundle
 from .panels.legend import MEANINGS, exaggerations
 from .state import State
+from .tabs import whole_scene
 from .theme import CHECK, CONTROL, background, foreground, legend
 from .traces import row_words, traces
 
@@ -46,11 +48,16 @@ class _Words:
             words, stop = row_words(name, rows[min(state.row, len(rows) - 1)])
             self.line(f"{words} · {stop}" if stop else words, mark=colour)
         self.at += 0.5 * self.size
+        drawn = whole_scene(state)
+        parts = {part for path in drawn for part in path.split("/")}
+        if leading:  # drawn in the colour of its model
+            parts.add(state.room(Bundle).asked[0])
         for name, colour in legend(self.dark).items():
-            if getattr(state.view, name, True):
+            if name in parts or f"{name}s" in parts:
                 shape = {"control": "circle", "check": "triangle"}.get(name, "line")
                 self.line(MEANINGS[name], 0.9, {"control": CONTROL, "check": CHECK}.get(name, colour), shape)
-        self.line(exaggerations(state), 0.9)
+        if parts & {"residuals", "ellipsoid", "ellipsoids"}:
+            self.line(exaggerations(state), 0.9)
 
     def line(self, text: str, scale: float = 1.0, mark: tuple[int, int, int] | None = None, shape: str = "square") -> None:
         left, middle, font = self.size, self.at + 0.5 * scale * self.size, _font(max(round(0.72 * scale * self.size), 8))

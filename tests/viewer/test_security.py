@@ -200,9 +200,9 @@ WIRED = (
 
 def wired(rng: np.random.Generator, kinds: Sequence[str]) -> str:
     """What clickable HTML might send, or nearly."""
-    kind, value = (some[rng.integers(len(some))] for some in (kinds, WIRED))
+    kind, value = kinds[int(rng.integers(len(kinds)))], WIRED[int(rng.integers(len(WIRED)))]
     text = json.dumps([kind, value, int(rng.integers(1000))])
-    return text if rng.random() < 0.9 else text[: rng.integers(len(text))]
+    return text if rng.random() < 0.9 else text[: int(rng.integers(len(text)))]
 
 
 def mutated(rng: np.random.Generator, message: dict[str, Any]) -> dict[str, Any] | bytes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ..bundle_scene import alone
 from ..scene import vector_scale
 from ..state import State
 from ..tabs import Desk, Tab
@@ -44,6 +45,8 @@ def legend_html(state: State) -> str:
 
 def exaggerations(state: State) -> str:
     """By how much what is drawn is larger than it is."""
+    if alone(state):
+        return "drawn: corrections and ellipsoids of the bundle as the bars in the scene say"
     return (
         f"drawn: residuals on the ground × {vector_scale(state):g} · residuals on the photo × {state.view.photo_vectors:g} · "
         f"95 % ellipsoids × {max(state.view.ellipsoid, 1.0):g}"
