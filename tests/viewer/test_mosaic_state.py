@@ -40,6 +40,7 @@ from viewer_app.mosaic_tasks import tasks
 from viewer_app.mosaic_work import MOST, request_of
 from viewer_app.panels.mosaic import on_click
 from viewer_app.panels.mosaic_words import drift_html, layer_html, measured_html, progress_html, residuals_html, summary_html
+from viewer_app.rerun_mosaic import pieces
 from viewer_app.session import from_json, to_json
 from viewer_app.state import State
 from viewer_app.values import Label, Picture, Segments
@@ -342,3 +343,16 @@ def test_a_turned_photo_fills_its_picture_and_lies_as_the_photo_does(degrees: fl
         place = ring[0] + x * (ring[1] - ring[0]) + y * (ring[3] - ring[0])
         across, down = np.linalg.solve(np.stack([box[1] - box[0], box[3] - box[0]], axis=1), place - box[0])
         assert tuple(rgba[int(down * len(rgba)), int(across * rgba.shape[1]), :3]) == colour
+
+
+def test_a_recording_leaves_out_what_is_transparent() -> None:
+    corners, quads = pieces(np.ones((40, 60), bool))
+    assert len(quads) == 1 and np.ptp(corners, axis=0).tolist() == [1, 1]
+    opaque = np.zeros((43, 60), bool)
+    opaque[:, :30] = True
+    corners, quads = pieces(opaque)
+    x = corners[quads][:, :, 0]
+    assert x.max() == pytest.approx(32 / 60) and x.min() == 0 and len(quads) == 4 * 6
+    sides = np.ptp(corners[quads], axis=1) * [60, 43]
+    assert sides.prod(axis=1).sum() == pytest.approx(32 * 43)
+    assert len(pieces(np.zeros((20, 20), bool))[1]) == 0
