@@ -106,7 +106,7 @@ def with_words(page: str, state: State, count: int) -> str:
         "<p>Keys: left, right, Home, End; space plays and pauses.</p>"
         f"<details open><summary>Legend</summary>{legend_html(state)}</details></div>"
     )
-    page = page.replace("<title>", f"<title>{html.escape(title)} – ", 1)
+    page = page.replace("<title>Viser<", f"<title>{html.escape(title)} – Collinea<", 1)
     head, body = page.index("</head>"), page.rindex("</body>")
     return f"{page[:head]}{style}{page[head:body]}{words}{script}{page[body:]}"
 

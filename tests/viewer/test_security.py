@@ -28,6 +28,7 @@ from viewer_app.bridge import MAX_UPLOAD, controls
 from viewer_app.bundle_actions import RunBundle
 from viewer_app.bundle_state import Bundle
 from viewer_app.bundle_tasks import tasks as bundle_tasks
+from viewer_app.replay_page import with_words
 from viewer_app.state import State
 from viewer_app.tabs import tabs
 
@@ -333,3 +334,9 @@ def test_names_of_a_project_are_text_in_every_panel() -> None:
         found = [Tags(page) for page in pages(made.server.gui)]
     assert [tag for page in found for tag in page.alive] == []
     assert sum(page.shown > 0 for page in found) > 8
+
+
+def test_names_of_a_project_are_text_in_the_replay() -> None:
+    page = with_words("<html><head><title>Viser</title></head><body></body></html>", hostile(), 1)
+    found = Tags(page.replace("<title>", "<p>").replace("</title>", "</p>"))
+    assert found.alive == [] and found.shown == 2 and "Viser" not in page
