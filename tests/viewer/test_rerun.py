@@ -27,11 +27,15 @@ from solvers.geometry import LocalFrame, rotation, to_opencv
 from solvers.orientation import Orientation, Request, orient
 from tests.browser import chromium_page, require_chromium, wait_until
 from tests.synthetic import REAL_CAMERA, block_of, prior_of, scene
+from tests.viewer.test_actions import solve_all  # type: ignore[import-not-found]
 from viewer_app import rerun_server, theme
+from viewer_app.bundle_state import Bundle
 from viewer_app.paint_rerun import record
 from viewer_app.replay import Replay
-from viewer_app.rerun_layout import blueprint
+from viewer_app.rerun_layout import blueprint, hidden_in_space
 from viewer_app.rerun_server import Served, growing, serve
+from viewer_app.rerun_shown import EVERYTHING, shown
+from viewer_app.state import State
 
 ORIGIN = np.array([412000.0, 5400000.0, 250.0])
 NAME = "DSC 1/left.jpg"
@@ -361,6 +365,22 @@ def test_it_opens_in_a_browser_and_speaks_to_nobody_else(path: Path) -> None:
         assert f"{served.origin}/recording.rrd" in log.answered
         assert all(url.startswith(served.origin) for url in log.answered)
         assert not [error for error in log.errors if "Failed to fetch" not in error]  # its refused calls home
+
+
+def test_it_opens_with_what_the_scene_shows(state: State) -> None:
+    solved = solve_all(state)
+    replays = [Replay.of(o.trace, state.block, state.assets.frame) for i in ("left", "right") for m in MODELS
+               if (s := solved.solution(m, i)) and (o := s.orientation)]  # fmt: skip
+    assert len(replays) == 4
+    right = {f"/images/right/{m}/rays" for m in MODELS}
+    assert set(hidden_in_space(replays, shown(solved))) == right and hidden_in_space(replays, EVERYTHING) == []
+    less = replace(solved, view=replace(solved.view, orthogonal=False, truth=False))
+    hidden = {f"/images/{i}/{layer}" for i in ("left", "right") for layer in ("orthogonal", "truth")}
+    assert set(hidden_in_space(replays, shown(less))) == right | hidden
+    none = replace(solved, view=replace(solved.view, rays=False, dark=True))
+    assert len(hidden_in_space(replays, shown(none))) == 4 and shown(none).dark
+    bare = solved.with_room(replace(solved.room(Bundle), draw_ellipsoids=False))
+    assert "draw_ellipsoids" in shown(bare).hidden
 
 
 def test_a_recording_that_grows_is_handed_on_as_it_grows(tmp_path: Path) -> None:
