@@ -23,13 +23,14 @@ from .actions import Action, Say, Tick, update
 from .actions_solve import Failed, Rows, Solved
 from .bridge import LOCAL_HOSTS, Wire, controls, dress_labels, guard_values, open_server
 from .desktop import Desktop, OpenedTab
-from .flying import Fly, asked_by, beside_panel, flight
+from .flying import Fly, asked_by, beside_panel, flight, sees_mosaic
 from .home import home, home_beside
 from .jobs import Jobs
 from .keeping import Keeper, resume
 from .loading import bring, open_project
 from .looking import looked_through
 from .matching_state import Matching, Network
+from .mosaic_state import Mosaic
 from .overlay import view_through
 from .paint_viser import Painter
 from .palette import complete
@@ -223,9 +224,12 @@ class App:
         network = state.room(Matching).network
         if not self._oriented and any(s.orientation for s in state.work.solutions.values()):
             self._oriented = self._home_opens = True  # the first camera of a project that had none is looked at
-        if self._home_opens or network is not self._placed:  # tie points that were placed are looked at
-            self._placed = network
+        made = frozenset(state.room(Mosaic).made)
+        if self._home_opens or network is not self._placed or made != self._made:  # what was placed or made is looked at
+            new, self._placed, self._made = made - (self._made or made), network, made
             self._look()
+            if new:
+                self._look_at_mosaic()
             self._home_opens = bool(jobs)
         with self.server.atomic():
             self._try("The scene", lambda: self._painter.paint(whole_scene(state)))
@@ -266,6 +270,7 @@ class App:
         self._homes: dict[int, list[np.ndarray]] = {}
         self._starts: list[np.ndarray] = []
         self._placed: Network | None = None
+        self._made: frozenset[str] | None = None
         server.initial_camera.fov = np.radians(45)
         self._look()
         self._dark: bool | None = None
@@ -326,6 +331,19 @@ class App:
             camera.position, camera.look_at = np.array(self._view[:3]), np.array(self._view[3:])
         for client in self.server.get_clients().values():
             self._frame(client)
+
+    def _look_at_mosaic(self) -> None:
+        """A mosaic was made: who has moved and sees nothing of it is taken there, or told where others look too."""
+        clients = self.server.get_clients()
+        for number, client in clients.items():
+            camera = client.camera
+            here = np.array(camera.position), np.array(camera.look_at)
+            if self._unmoved(number, here[0]) or looked_through(self._state):
+                continue
+            if sees_mosaic(self._state, *here, float(camera.fov), camera.image_width / max(camera.image_height, 1)):
+                continue
+            said = Say("The mosaic lies out of view: H shows all there is")
+            self.emit(Fly("mosaic", "", number) if len(clients) == 1 else said)
 
     def _frame(self, client: viser.ClientHandle) -> None:
         """Show a browser all there is beside the panels that lie over its canvas, unless it has moved: it stands neither where it

@@ -34,7 +34,7 @@ def corner(state: State) -> tuple[np.ndarray, float, float]:
     west, east, cell = drawn_ground(state)
     low, high = west, east
     for made in state.room(Mosaic).made.values():
-        ring = _rectangle(state, made)
+        ring = rectangle(state, made)[:, :2]
         low, high = np.minimum(low, ring.min(axis=0)), np.maximum(high, ring.max(axis=0))
     room = state.room(Bundle)
     if room.rows and room.layout is not None and len(room.layout.points):
@@ -45,11 +45,11 @@ def corner(state: State) -> tuple[np.ndarray, float, float]:
     return np.array([x, low[1], ground_level(state)]), float((high - low).max()), cell
 
 
-def _rectangle(state: State, made: Made) -> np.ndarray:
-    """Corners (4, 2) m of the rectangle around all photos of a mosaic."""
+def rectangle(state: State, made: Made) -> np.ndarray:
+    """Corners (4, 3) m of the rectangle around all photos of a mosaic."""
     (x0, y0), (x1, y1) = _box(made.registration)
     xy = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
-    return to_scene(state, made, np.column_stack([xy, made.registration.heights(xy)]))[:, :2]
+    return to_scene(state, made, np.column_stack([xy, made.registration.heights(xy)]))
 
 
 @by_identity(4)
@@ -87,15 +87,17 @@ def furniture(state: State, vectors: float | None) -> Scene:
 
 def scales(state: State, cell: float, vectors: float | None) -> str:
     """The scale bar in words, with every exaggeration that is drawn on a line of its own."""
-    view = state.view
-    words = [f"{cell:g} m"]
-    if vectors is None:
-        return words[0]
+    return "\n".join([f"{cell:g} m", *([] if vectors is None else drawn_larger(state, vectors))])
+
+
+def drawn_larger(state: State, vectors: float) -> list[str]:
+    """What the solutions of single images draw exaggerated, vectors: by how much the residuals."""
+    view, words = state.view, []
     if view.residuals and any((s := state.solution(m)) and s.rows for m in MODELS):
         words.append(f"residuals × {vectors:g}")
     if view.ellipsoids and view.ellipsoid > 0:
         words.append(f"95 % ellipsoids × {view.ellipsoid:g}")
-    return "\n".join(words)
+    return words
 
 
 def fitting(span: float, factor: float) -> float:

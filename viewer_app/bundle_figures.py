@@ -119,3 +119,16 @@ def field(interior: Interior, pixel: np.ndarray, v: np.ndarray, cells: tuple[int
     index = np.flatnonzero(count)
     middle = (np.stack([index % across, index // across], axis=1) + 0.5) * size - 0.5
     return Field(interior, middle, mean[index], count[index])
+
+
+def inside(start: np.ndarray, way: np.ndarray, size: tuple[float, float]) -> np.ndarray:
+    """Which share (n,) of arrows from start (n, 2) along way (n, 2) lies in a frame from 0, 0 to its size; 1: all of it."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        room = np.where(way > 0, (np.asarray(size) - start) / way, np.where(way < 0, -start / way, np.inf))
+    return np.clip(np.nan_to_num(room, nan=1.0).min(axis=1, initial=1.0), 0.0, 1.0)
+
+
+def cut_words(share: np.ndarray) -> str:
+    """What is to be said of arrows of which only a share (n,) is drawn, "" where none is cut."""
+    count = int((share < 1).sum())
+    return f", {count} end{'s' if count == 1 else ''} at the frame" if count else ""

@@ -8,10 +8,12 @@ import numpy as np
 
 from .acting import Action, handles, update
 from .actions import ChooseImage, ChoosePoint
+from .bars import rectangle
 from .bundle_rows import place
 from .ground import site
 from .home import PANEL
 from .looking import look_through, looked_through
+from .mosaic_state import Mosaic
 from .scene import any_exterior, frustum_depth
 from .state import State
 
@@ -22,7 +24,7 @@ BESIDE = 60
 @dataclass(frozen=True)
 class Fly(Action):
     """Choose a point or an image and let the browser that asked look at it, or "through" an image, or "back" from there, or at
-    all "points" from where the images are, or at all there is, from "home".
+    all "points" from where the images are, or at the "mosaic" that is shown, or at all there is, from "home".
 
     client: its number, None for all.
     """
@@ -60,6 +62,9 @@ def flight(state: State, action: Fly, position: np.ndarray, look_at: np.ndarray)
         at, far = exterior.centre - exterior.m[2] * depth, 6.0 * depth
     elif action.what == "points":
         return _before_points(state)
+    elif action.what == "mosaic" and (made := state.room(Mosaic).current) is not None:
+        ring = rectangle(state, made)
+        at, far = ring.mean(axis=0), 1.4 * float(np.linalg.norm(np.ptp(ring, axis=0)))
     else:
         return None
     if not np.isfinite(at).all():
@@ -82,6 +87,23 @@ def beside_panel(
         return position, look_at
     moved = -right / length * (PANEL / 2) * float(np.linalg.norm(way)) * np.tan(fov / 2) / (height / 2)
     return position + moved, look_at + moved
+
+
+def sees_mosaic(state: State, position: np.ndarray, look_at: np.ndarray, fov: float, aspect: float) -> bool:
+    """Whether who looks from a position has the middle of the mosaic in view, and large enough; True where there is none."""
+    made = state.room(Mosaic).current
+    if made is None:
+        return True
+    ring = rectangle(state, made)
+    way = np.asarray(look_at, float) - position
+    away = way / max(float(np.linalg.norm(way)), 1e-12)
+    right = np.cross(away, [0.0, 0.0, 1.0])
+    right /= max(float(np.linalg.norm(right)), 1e-12)
+    seen = (np.vstack([ring.mean(axis=0), ring]) - position) @ np.column_stack([right, np.cross(right, away), away])
+    high = np.tan(fov / 2)
+    at = seen[:, :2] / np.maximum(seen[:, 2:], 1e-9) / [high * aspect, high]  # -1 to 1 over the canvas
+    large = float(np.ptp(at[1:], axis=0).max()) > 0.2 or bool((seen[:, 2] <= 0).any())
+    return bool(seen[0, 2] > 0 and (np.abs(at[0]) < 0.95).all() and large)
 
 
 def _before_points(state: State) -> tuple[np.ndarray, np.ndarray] | None:

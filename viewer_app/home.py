@@ -6,11 +6,12 @@ import numpy as np
 
 from solvers import Exterior
 
-from .bars import furniture
+from .bars import furniture, rectangle
 from .bundle_scene import bars as bundle_bars
 from .ground import drawn_ground, site
 from .matching_state import Matching
 from .mosaic_scene import bars as mosaic_bars
+from .mosaic_state import Mosaic
 from .scene import MANY, centres, vector_scale
 from .sighting import position, prior
 from .state import MODELS, State
@@ -105,6 +106,7 @@ def _seen(state: State, whole: bool = True) -> np.ndarray:
     at += [p for i in state.block.images[:MANY] if i.prior is not None and (p := position(state, i.name)) is not None]
     network = state.room(Matching).network
     at += [] if network is None else [e.centre for e in network.exteriors.values()]
+    at += [corner for made in state.room(Mosaic).made.values() for corner in rectangle(state, made)]
     ground = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
     if not whole:
         return np.vstack([ground, *at])

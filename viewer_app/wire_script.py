@@ -51,6 +51,14 @@ window.collinea = (() => {
     const {kind, value} = now.dataset;
     if (was.dataset.kind === kind && was.dataset.value === value) send(kind, value);
   }, true);
+  // a slider's keys are its own; keys of commands are not also the camera's, which listens on the document: no step turns it
+  const OWN = ['ArrowLeft', 'ArrowRight', 'ArrowUp', 'ArrowDown', 'Home', 'End', 'PageUp', 'PageDown'];
+  document.body.addEventListener('keydown', ev => {
+    if (OWN.includes(ev.key) && ev.target?.closest?.('[role=slider]')) ev.stopPropagation();
+  });
+  document.documentElement.addEventListener('keydown', ev => {
+    if (['ArrowLeft', 'ArrowRight', 'KeyA'].includes(ev.code)) ev.stopPropagation();
+  });
   const find = name => [...document.querySelectorAll('[data-focus]')].find(e => e.dataset.focus === name);
   const step = (e, by) => {
     const row = e.closest('tr'), column = e.dataset.focus?.split('/').slice(0, 2).join('/');

@@ -97,6 +97,12 @@ def test_stepping_changes_the_frustum(session: Session) -> None:
     v.wait_until(lambda: app.state.row == app.state.last_row and has_pose(app, v, path), "the last row")
 
 
+LOOKS = "() => [...window.__viserMutable.camera.position, ...window.__viserMutable.camera.quaternion]"
+FRAMES = """n => new Promise(done => { const frame = () => window.__viserTestpoints.rendererInfo.render.frame, end = frame() + n;
+  const look = () => { window.__viserMutable.requestRender(); frame() >= end ? done() : requestAnimationFrame(look); }; look(); })"""
+"""Resolves when so many pictures more were drawn."""
+
+
 def test_keys_step_too(session: Session) -> None:
     app, v = session
     act(app, v, Step("last"))
@@ -106,7 +112,21 @@ def test_keys_step_too(session: Session) -> None:
     v.wait_until(lambda: app.state.row == 1, "the right arrow")
     v.hotkey("ArrowLeft")
     v.wait_until(lambda: app.state.row == 0, "the left arrow")
+    looked = v.page.evaluate(LOOKS)
+    for key in ("ArrowRight", "ArrowLeft"):  # held, which turns viser's camera
+        v.page.keyboard.down(key)
+        v.page.evaluate(FRAMES, 5)
+        v.page.keyboard.up(key)
+    assert v.page.evaluate(LOOKS) == looked
+    act(app, v, Step("first"))
     speed = app.state.speed
+    v.row("Rows / second").get_by_role("slider").focus()
+    v.page.keyboard.press("ArrowRight")
+    v.wait_until(lambda: app.state.speed == speed + 0.5, "the slider's own key")
+    v.page.keyboard.press("ArrowLeft")
+    until(app, v, lambda: app.state.speed == speed, "the slider's own key back")
+    assert app.state.row == 0 and v.page.evaluate(LOOKS) == looked
+    v.page.evaluate("() => document.activeElement.blur()")
     act(app, v, Speed(0.5))
     v.hotkey("Space")
     v.wait_until(lambda: app.state.playing, "play")

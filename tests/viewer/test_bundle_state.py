@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from solvers import Interior
 from solvers.adjustment import Iteration
 from solvers.cameras import PARAMETERS
 from solvers.errors import BadProject
@@ -28,13 +30,14 @@ from viewer_app.bundle_actions import (
     SetBundle,
     StopBundle,
 )
-from viewer_app.bundle_figures import camera_figures, field, image_vectors, profile
+from viewer_app.bundle_figures import Vectors, camera_figures, field, image_vectors, inside, profile
 from viewer_app.bundle_rows import exterior, image_number, misfit, place, point_rms, ray_counts
 from viewer_app.bundle_scene import ellipsoid_factor, judged, offsets, point_colours, scale_end, vector_factor
 from viewer_app.bundle_scene import scene as bundle_scene
 from viewer_app.bundle_state import Bundle, bundle_choices, bundle_of_choices
 from viewer_app.bundle_tasks import tasks
 from viewer_app.panels.bundle import together
+from viewer_app.panels.bundle_plots import vectors_svg
 from viewer_app.panels.bundle_tables import two_runs
 from viewer_app.state import State
 from viewer_app.tabs import whole_scene
@@ -98,6 +101,21 @@ def test_residuals_of_the_last_row_are_those_of_the_adjustment(done: State) -> N
     mine = image_vectors(done, "right")
     assert mine is not None and np.allclose(mine.v, of.v[of.image == 1])
     assert image_vectors(done, "nobody") is None
+
+
+def test_arrows_of_the_residual_plot_end_in_its_frame_and_that_is_said() -> None:
+    camera = Interior(35.0, pixel_mm=0.0039, width=6000, height=4000)
+    pixel = np.array([[3000.0, 2000.0], [5990.0, 10.0], [100.0, 3900.0], [2000.0, 1000.0]])
+    v = np.array([[0.3, -0.2], [1.0, -1.0], [-2.0, 0.5], [0.0, 0.0]])
+    svg = vectors_svg(Vectors(camera, pixel, v, ("A", "B", "C", "D")))
+    x, y, w, h = (float(re.search(rf'<rect .*?{k}="([\d.]+)"', svg)[1]) for k in ("x", "y", "width", "height"))  # type: ignore[index]
+    lines = np.array(re.findall(r'<line x1="([\d.-]+)" y1="([\d.-]+)" x2="([\d.-]+)" y2="([\d.-]+)"', svg), float)
+    assert len(lines) == 4 and "2 ends at the frame" in svg
+    assert (lines[:, 2::2] >= x - 0.1).all() and (lines[:, 2] <= x + w + 0.1).all()
+    assert (lines[:, 3] >= y - 0.1).all() and (lines[:, 3] <= y + h + 0.1).all()
+    whole = lines[np.isclose(lines[:, 0], x + 3000.5 * w / 6000, atol=0.1)][0]
+    assert (whole[3] - whole[1]) / (whole[2] - whole[0]) == pytest.approx(-2 / 3, abs=0.05)
+    assert inside(np.array([[1.0, 1.0]]), np.array([[np.nan, 5.0]]), (2, 2))[0] == pytest.approx(0.2)
 
 
 def test_points_stand_where_the_bundle_has_them(done: State) -> None:

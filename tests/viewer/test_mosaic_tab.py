@@ -11,8 +11,11 @@ import numpy as np
 import pytest
 
 from tests.browser import ViserPage
-from tests.viewer.sessions import DEMO, HEAVY, Session, act, downloaded, settle, until, viewed
+from tests.viewer.sessions import DEMO, HEAVY, Session, act, camera_arrived, downloaded, settle, until, viewed
 from viewer_app.app import App
+from viewer_app.bars import rectangle
+from viewer_app.flying import Fly, flight, sees_mosaic
+from viewer_app.home import home_beside
 from viewer_app.mosaic_actions import Choose, ForgetPlaces, Look
 from viewer_app.mosaic_place import to_scene
 from viewer_app.mosaic_state import Mosaic
@@ -28,9 +31,31 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
     with viewed(folder, hidden=(*HEAVY, "rays", "bundle", "perspective", "orthogonal")) as (app, v):
         v.open_tab("Mosaic")
         v.page.evaluate(LISTEN)
+        camera = next(iter(app.server.get_clients().values())).camera
+        camera.position, camera.look_at = np.array([900.0, 0.0, 40.0]), np.array([1900.0, 0.0, 40.0])  # somebody looks elsewhere
+        v.wait_until(lambda: camera_arrived(app, v) and camera.position[0] > 800, "the view away from it")
         v.click_button("Make both, to compare")
         until(app, v, lambda: len(room(app).made) == 2, "both mosaics", 250)
         yield app, v
+
+
+def test_a_mosaic_made_out_of_view_is_flown_to_and_one_in_view_is_not(session: Session) -> None:
+    app, v = session
+    camera = next(iter(app.server.get_clients().values())).camera
+
+    def seen() -> bool:
+        looks = np.array(camera.position), np.array(camera.look_at), float(camera.fov), camera.image_width / camera.image_height
+        return sees_mosaic(app.state, *looks)
+
+    v.wait_until(lambda: camera_arrived(app, v) and seen(), "the mosaic in view")
+    here = np.array(camera.position)
+    assert flight(app.state, Fly("mosaic", ""), here, np.array(camera.look_at)) is not None
+    assert not sees_mosaic(app.state, here, 2 * here - camera.look_at, float(camera.fov), 1.2)  # the other way round
+    ring = rectangle(app.state, room(app).made["simultaneous"])
+    for size in ((866.0, 800.0), (2146.0, 1440.0)):  # H knows it
+        eye, at = home_beside(app.state, *size, np.radians(45))
+        assert sees_mosaic(app.state, eye, at, np.radians(45), size[0] / size[1])
+        assert np.linalg.norm(at - ring.mean(axis=0)) < np.linalg.norm(eye - at)
 
 
 LISTEN = """() => { window.told = []; const look = () => {

@@ -7,7 +7,7 @@ import numpy as np
 from solvers import Interior
 
 from .. import theme
-from ..bundle_figures import Field, Profile, Vectors
+from ..bundle_figures import Field, Profile, Vectors, cut_words, inside
 from ..ground import nice
 from .widgets import css, esc
 
@@ -28,6 +28,7 @@ def vectors_svg(of: Vectors | Field, chosen: str | None = None, width: int = 386
     left = (width - w) / 2
     parts = [f'<rect x="{left:.1f}" y="1" width="{w:.1f}" height="{h:.1f}" {AXIS}/>', _middle(interior, scale, left)]
     longest = np.argsort(-np.linalg.norm(v, axis=1), kind="stable")[:MOST]
+    share = inside((at + 0.5) * scale, factor * v, (w, h))
     colour = css(theme.RESIDUAL)
     for i in longest:
         x, y = left + (at[i, 0] + 0.5) * scale, 1 + (at[i, 1] + 0.5) * scale
@@ -35,12 +36,13 @@ def vectors_svg(of: Vectors | Field, chosen: str | None = None, width: int = 386
         ring = f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4.5" {AXIS}/>' if name == chosen else ""
         dot = f'<circle cx="{x:.1f}" cy="{y:.1f}" r="1.4" fill="currentColor" fill-opacity=".6"/>' if len(v) <= 400 else ""
         parts.append(f'<g><title>{esc(name)}: {v[i, 0]:+.2f}, {v[i, 1]:+.2f} px</title>{ring}{dot}'
-                     f'<line x1="{x:.1f}" y1="{y:.1f}" x2="{x + factor * v[i, 0]:.1f}" y2="{y + factor * v[i, 1]:.1f}" '
-                     f'stroke="{colour}" stroke-width="1.4"/></g>')
+                     f'<line x1="{x:.1f}" y1="{y:.1f}" x2="{x + share[i] * factor * v[i, 0]:.1f}" '
+                     f'y2="{y + share[i] * factor * v[i, 1]:.1f}" stroke="{colour}" stroke-width="1.4"/></g>')
     y = h + 12
     length = factor * bar
     parts.append(f'<path d="M{left:.1f} {y - 3:.1f}v6m0 -3h{length:.1f}m0 -3v6" {AXIS} stroke-opacity="1"/>'
-                 f'<text x="{left + length + 6:.1f}" y="{y + 3:.1f}">{bar:g} px (drawn × {factor / scale:.0f})</text>')
+                 f'<text x="{left + length + 6:.1f}" y="{y + 3:.1f}">{bar:g} px (drawn × {factor / scale:.0f}'
+                 f'{cut_words(share[longest])})</text>')
     what = f"Residuals over the format, rms {rms:.2f} px" if isinstance(of, Vectors) else "Mean residual field on the format"
     return _svg(what, width, h + 20, "".join(parts))
 

@@ -7,6 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from ..bundle_figures import cut_words, inside
 from ..figures import NAMES, correlation, to_final
 from ..ground import nice
 from ..kept_run import kept_of
@@ -85,6 +86,7 @@ def residuals_html(state: State) -> str:
     longest = max(float(np.linalg.norm(np.nan_to_num(s.residuals), axis=1).max()) for s in sights.values())
     times = max(nice(0.12 * w / longest), 1.0) if longest > 0 else 1.0
     photo, shapes = state.assets.photos.get(state.image), []
+    share = np.concatenate([inside(s.observed + 0.5, times * s.residuals, (w, h)) for s in sights.values()])
     for width, (model, seen) in zip((3.4, 1.6), reversed(sights.items()), strict=False):  # the finer one over the broader one
         shapes += _vectors(seen, times, unit, width, model)
     bar = nice(0.12 * w / times)
@@ -104,7 +106,7 @@ def residuals_html(state: State) -> str:
         f'<svg role="img" aria-label="Residuals on the photo {esc(state.image)}" viewBox="0 0 {w} {h}" '
         f'style="display:block;width:min(100%,calc(38vh*{w / h:.4f}));margin-top:6px;background:rgba(128,128,128,.2)">'
         f'{picture}<rect width="{w}" height="{h}" fill="#fff" fill-opacity=".45"/>{"".join(shapes)}</svg>'
-        f"<div {MUTED}>{legend} · observed − projected, × {times:g} to fit · ring: not used</div>"
+        f"<div {MUTED}>{legend} · observed − projected, × {times:g} to fit{cut_words(share)} · ring: not used</div>"
     )
 
 

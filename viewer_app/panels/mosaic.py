@@ -11,6 +11,7 @@ from solvers import PhotogrammetryError
 
 from ..acting import Action
 from ..actions import Say, Undo
+from ..flying import Fly
 from ..matching_actions import Accept, Reject
 from ..matching_state import Matching
 from ..mosaic_actions import (
@@ -346,6 +347,7 @@ TAB = Tab(
     commands=(
         Command("Make the mosaic", MakeMosaic("simultaneous"), hint="Register all photos at once and compose them."),
         Command("Make both mosaics", MakeMosaic("both"), hint="Sequential and simultaneous, to see the drift."),
+        Command("Look at the mosaic", Fly("mosaic", ""), hint="From where you are, as near as all of it is seen."),
         Command("Next step of the registration", _next(1), "."),
         Command("Previous step of the registration", _next(-1), ","),
     ),

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import time
 
+from ..exaggerated import exaggerated
 from ..state import State
 from ..tabs import Desk
 from .tables import status
-from .widgets import Html
+from .widgets import MUTED, Html, esc
 
 
 class StatusLine:
@@ -18,7 +19,10 @@ class StatusLine:
         self._begun: tuple[int, float, int] | None = None  # revision, when, and how many images were to be solved then
 
     def draw(self, state: State) -> None:
-        self._text.set(status(state, lambda todo: self._left(state.work.revision, todo)))
+        larger = esc(" · ".join(exaggerated(state)))
+        line = f'<div style="padding:0 12px;font-size:12px" aria-label="Drawn larger"><span {MUTED}>drawn: {larger}</span></div>'
+        line = line if larger else ""
+        self._text.set(status(state, lambda todo: self._left(state.work.revision, todo), line))
 
     def _left(self, revision: int, todo: int) -> float | None:
         """Seconds until so many other images are solved, by the rate so far; None before there is one."""

@@ -96,9 +96,9 @@ LINE = 17
 """Height of a line over the tabs, pixels of the page. Two always have room: nothing below moves when something is said."""
 
 
-def status(state: State, left: Callable[[int], float | None] = lambda todo: None) -> str:
+def status(state: State, left: Callable[[int], float | None] = lambda todo: None, below: str = "") -> str:
     """What was said last and what is going on, over all tabs; else what is open. left: seconds that so many images take, where
-    known."""
+    known. below: what stands under it at all times."""
     todo = {(j.image, j.model) for j in wanted(state)}
     busy = [m for m in (*MODELS, ADVICE) if (state.image, m) in todo]
     said = [f"<span>{esc(state.message)}</span>"] if state.message else []
@@ -111,7 +111,7 @@ def status(state: State, left: Callable[[int], float | None] = lambda todo: None
         said.append(f"<span {MUTED}>Solving the other images: {count} to do{long} …</span>")
     still = f"<span {MUTED}>{esc(' · '.join(filter(None, (state.block.name, state.image, state.point))))}</span>"
     style = f'style="padding:4px 12px 2px;font-size:12px;line-height:{LINE}px;min-height:{2 * LINE + 6}px;box-sizing:border-box"'
-    return f'<div {style} role="status" aria-label="Status">{" ".join(said) or still}</div>'
+    return f'<div {style} role="status" aria-label="Status">{" ".join(said) or still}</div>{below}'
 
 
 def words(state: State) -> str:
