@@ -343,7 +343,7 @@ class App:
             if sees_mosaic(self._state, *here, float(camera.fov), camera.image_width / max(camera.image_height, 1)):
                 continue
             said = Say("The mosaic lies out of view: H shows all there is")
-            self.emit(Fly("mosaic", "", number) if len(clients) == 1 else said)
+            self.emit(Fly("home", "", number) if len(clients) == 1 else said)
 
     def _frame(self, client: viser.ClientHandle) -> None:
         """Show a browser all there is beside the panels that lie over its canvas, unless it has moved: it stands neither where it

@@ -99,7 +99,8 @@ def test_stepping_changes_the_frustum(session: Session) -> None:
 
 LOOKS = "() => [...window.__viserMutable.camera.position, ...window.__viserMutable.camera.quaternion]"
 FRAMES = """n => new Promise(done => { const frame = () => window.__viserTestpoints.rendererInfo.render.frame, end = frame() + n;
-  const look = () => { window.__viserMutable.requestRender(); frame() >= end ? done() : requestAnimationFrame(look); }; look(); })"""
+  const look = () => { window.__viserMutable.requestRender(); frame() >= end ? done() : requestAnimationFrame(look); };
+  look(); })"""
 """Resolves when so many pictures more were drawn."""
 
 

@@ -162,7 +162,7 @@ def test_a_click_measures_and_another_finds_a_conjugate_point(session: Session) 
     place = to_scene(app.state, made, np.append(want, r.heights(want)))
     v.click_world(place)
     v.wait_until(lambda: len(room(app).places) == 1, "the place")
-    assert np.linalg.norm(np.array(room(app).places[0]) - want) < 2.0  # metres; a screen pixel is about half of one
+    assert np.linalg.norm(np.array(room(app).places[0]) - want) < 4.0  # metres; a screen pixel is about one
     v.page.get_by_role("table", name="Places measured").wait_for()
     v.wait_nodes("/mosaic/measured/lines")
     v.hotkey("Control+z")
