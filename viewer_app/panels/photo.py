@@ -156,7 +156,8 @@ def photo_html(state: State, wire: Wire) -> str:
     if state.click == "monoplot":
         target = "click for ground coordinates"
     drawn = "" if scale == 0 else f"circle: observed · {swatch(RESIDUAL)}residual × {scale:g} · "
-    missing = "" if has else f"<div {MUTED}>No photo: measurements only.</div>"
+    why = "No photo" if state.block.images[state.block.image_index(state.image)].file is None else "The photo is not read yet"
+    missing = "" if has else f"<div {MUTED}>{why}: measurements only.</div>"
     return (
         f"<div {BOX}><div>{esc(state.image)} <span {MUTED}>{camera.width} × {camera.height} px ·</span> {target}</div>{missing}"
         f'<div style="position:relative;overflow:hidden;{shape}"><svg id="collinea-photo" role="img" '
