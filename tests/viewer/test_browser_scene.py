@@ -139,16 +139,23 @@ def test_every_colour_of_the_legend_is_seen_as_it_says(points_only: Session) -> 
     colours = list(theme.legend().items())
     at = np.linspace(low, high, len(colours))
     ends = np.stack([at, at + np.array([0.3, -0.3, 0]) * (high - low)[:2].max()], axis=1)
+    camera = next(iter(app.server.get_clients().values())).camera
+    before, middle = (np.array(camera.position), np.array(camera.look_at)), ends.mean(axis=(0, 1))
+    camera.position, camera.look_at = middle + np.array([0, -1.0, 2.0]) * (high - low)[:2].max(), middle
     app._painter.paint({f"/line/{name}": Segments(ends[None, k], colour, 7.0) for k, (name, colour) in enumerate(colours)})
     settle(app, v)
+    v.wait_nodes(*(f"/line/{name}" for name, _ in colours))
+    v.wait_until(lambda: np.allclose(camera.look_at, middle, atol=1e-3) and camera_arrived(app, v), "the camera")
     try:
         picture = np.asarray(v.wait_still(tolerance=0.05, timeout=120), float)
         for name, colour in colours:
             error = np.abs(picture[..., :3] - np.array(colour)).max(axis=-1)[picture[..., 3] > 250]
             assert (error <= 2).sum() > 20, (name, error.min())
     finally:
+        camera.position, camera.look_at = before
         app._painter.paint(honest)
         settle(app, v)
+        v.wait_until(lambda: np.allclose(camera.look_at, before[1], atol=1e-3) and camera_arrived(app, v), "the camera")
 
 
 def test_the_size_of_a_point_follows_its_distance(points_only: Session) -> None:
