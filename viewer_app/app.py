@@ -297,6 +297,7 @@ class App:
             tab_of = {handle._impl.uuid: tab.name for handle in controls(gui)} | tab_of
             for command in tab.commands:
                 self._command(gui, command)
+        self.tab_of = tab_of
         complete(gui, {command.label for tab in tabs() for command in tab.commands}, self._wire, tab_of)
         guard_values(self.server, self._actions.put)
         gui.main_panel.dock_right()

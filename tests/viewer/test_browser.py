@@ -688,7 +688,7 @@ def test_a_rectangle_on_the_photo_chooses_control_and_all_solutions_stand_beside
     until(app, v, lambda: app.state.work.off, "the rectangle")
     assert left <= set(app.state.control()) <= near and app.state.mark is None
     v.open_tab("Compare")
-    v.set_checkbox("Draw all in the scene", True)
+    v.set_checkbox("Draw all", True)
     v.wait_nodes(f"/images/{image}/one_pass/camera", f"/images/{image}/with_prior/camera", f"/images/{image}/as_printed/camera",
                  f"/images/{image}/difference/with_prior")
     settle(app, v)

@@ -62,6 +62,7 @@ from viewer_app.lists import ShowRows, SortBy
 from viewer_app.looking import Opacity
 from viewer_app.matching_actions import LookAt, Pair, Tune
 from viewer_app.mosaic_actions import Choose, Look
+from viewer_app.panels.widgets import QUIET
 from viewer_app.photo_view import ZoomPhoto
 from viewer_app.session import to_json
 from viewer_app.tabs import tabs
@@ -127,6 +128,17 @@ def test_every_control_has_a_label_of_its_own_and_its_own_command(session: Sessi
                     viser.GuiNumberHandle: ("more", "less")}  # fmt: skip
             wanted = {f"{label}: {end}" for end in ends[type(handle)]}
         assert wanted <= set(every) | actions, label
+
+
+def test_one_button_of_a_tab_stands_out(session: Session) -> None:
+    """What one mostly comes for, and beside it only what takes over a result that waits; all other buttons are grey."""
+    app, _ = session
+    found: Any = [h for h in controls(app.server.gui) if isinstance(h, viser.GuiButtonHandle)]
+    assert {h.color for h in found} == {None, QUIET}
+    standing = [(app.tab_of.get(h._impl.uuid, ""), h.label) for h in found if h.color is None]
+    waiting = {"Accept all found", "Accept conjugate point"}
+    mains = [tab for tab, label in standing if label not in waiting]
+    assert len(set(mains)) == len(mains) and {"Photo", "Bundle", "Mosaic", "Matching", "Project"} <= set(mains)
 
 
 def test_the_palette_steps_and_switches(session: Session) -> None:

@@ -58,7 +58,7 @@ class BundlePanel:
         self._choices(desk)
         self._run = gui.add_button("Run bundle", hint="Adjust all images together; the scene follows row by row.")
         self._run.on_click(lambda _: emit(RunBundle()))
-        self._stop = gui.add_button("Stop bundle", hint="Stop; the rows so far stay and can be stepped through.", color="red")
+        self._stop = gui.add_button("Stop bundle", hint="Stop; the rows so far stay and can be stepped through.", color=QUIET)
         self._stop.on_click(lambda _: emit(StopBundle()))
         self._on = gui.add_button("Continue bundle", hint="Go on from the row shown; later rows are made anew.", color=QUIET)
         self._on.on_click(lambda _: emit(RunBundle(on=True)))

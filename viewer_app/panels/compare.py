@@ -32,7 +32,7 @@ class ComparePanel:
         self._use = gui.add_button("Use these points", hint="Only the control points named; everything is solved at once.")
         self._use.on_click(lambda _: emit(UseOnly(tuple(self._names.value.replace(",", " ").split()))))
         self._shown = gui.add_checkbox(
-            "Draw all in the scene", False, hint="Every solution with its ellipsoid and its difference from the perspective one."
+            "Draw all", False, hint="Every solution with its ellipsoid and its difference from the perspective one."
         )
         bind(self._shown, emit, lambda value: Show("compared", bool(value)))
         self._table = Html(gui)

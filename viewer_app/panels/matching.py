@@ -81,10 +81,11 @@ class MatchingPanel:
         bind(self._point, emit, lambda name: MatchPoint(None if name == NEW else name))
         propose = gui.add_button(
             "Propose in the other photos",
+            color=QUIET,
             hint="Look for this point in every photo that may show it; nothing is taken over before it is accepted.",
         )
         propose.on_click(lambda _: emit(Propose()))
-        self._all = gui.add_button("Accept all found", hint="All that was found becomes observations.", color="green")
+        self._all = gui.add_button("Accept all found", hint="All that was found becomes observations.")
         self._all.on_click(lambda _: emit(Accept(all=True)))
         with gui.add_folder("How to match", expand_by_default=False):
             self._window = gui.add_slider("Window px", 7, 61, 2, 21, hint="Side of the template, pixels of the photo's file.")
@@ -117,6 +118,7 @@ class MatchingPanel:
         self._find.on_click(lambda _: emit(Start("ties")))
         self._adjust = gui.add_button(
             "Place tie points",
+            color=QUIET,
             hint="Bundle adjustment of all that is measured: shows them in the "
             "scene and predicts matches. The project is not changed.",
         )

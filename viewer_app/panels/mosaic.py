@@ -48,6 +48,7 @@ class MosaicPanel:
             "Make mosaic",
             "Register all photos at once (simultaneous) and compose them.",
             lambda: MakeMosaic("simultaneous"),
+            main=True,
         )
         self._button(
             "Make mosaic one by one",
@@ -69,8 +70,8 @@ class MosaicPanel:
         self._summary = Html(gui)
         self._files(desk)
 
-    def _button(self, label: str, hint: str, act: Callable[[], Action]) -> Any:
-        handle = self._desk.gui.add_button(label, hint=hint)
+    def _button(self, label: str, hint: str, act: Callable[[], Action], main: bool = False) -> Any:
+        handle = self._desk.gui.add_button(label, hint=hint, color=None if main else QUIET)
         handle.on_click(lambda _: self._desk.emit(act()))
         return handle
 
@@ -197,6 +198,7 @@ class MosaicPanel:
             "Accept conjugate point",
             "All matches found become observations of one tie point; the mosaic follows, tiles whose photos did not move stay.",
             lambda: Accept(all=True),
+            main=True,
         )
         self._reject = self._button("Reject conjugate point", "Forget the match in view; the Matching tab shows it.", Reject)
         self._undo = self._button("Undo last measurement", "Take the last edit back; the mosaic follows.", Undo)
@@ -223,7 +225,8 @@ class MosaicPanel:
                 ),
             )
             self._button("Remove map", "Take the map away.", lambda: OpenLayer(""))
-            self._csv = gui.add_button("Offsets as CSV", hint="Download places and offsets (layer minus mosaic), metres.")
+            hint = "Download places and offsets (layer minus mosaic), metres."
+            self._csv = gui.add_button("Offsets as CSV", hint=hint, color=QUIET)
             self._csv.on_click(lambda event: self._download(event.client))
         self._layer = Html(gui)
         with gui.add_folder("Write", expand_by_default=False):
@@ -243,6 +246,7 @@ class MosaicPanel:
             )
             self._rrd = gui.add_button(
                 "Mosaic as rerun recording",
+                color=QUIET,
                 hint="Download every step of both registrations, the picture and "
                 "the vectors as .rrd, with the same entity paths as here.",
             )

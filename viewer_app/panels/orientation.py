@@ -13,7 +13,7 @@ from ..looking import looked_through
 from ..state import FORMS, PRIORS, State
 from ..tabs import Command, Desk, Tab
 from .tables import orientation_table, point_in_images, point_table, words
-from .widgets import Emit, Html, bind, prop, put
+from .widgets import QUIET, Emit, Html, bind, prop, put
 
 EVERY, SOME = "all", "own choice"
 BUTTONS = ("Solve again", "Cancel", "Undo", "Redo")
@@ -53,11 +53,14 @@ class OrientationPanel:
         )
         bind(self._point, emit, lambda value: ChoosePoint(None if value == "none" else value))
         self._switch = gui.add_button(
-            "Switch point on or off", hint="Take the chosen point into the solution or out of it; it is solved at once."
+            "Switch point on or off",
+            hint="Take the chosen point into the solution or out of it; it is solved at once.",
+            color=QUIET,
         )
         self._switch.on_click(self._switched)
         self._role = gui.add_button(
             "Make point control or check",
+            color=QUIET,
             hint="Control points hold the solution, check points only judge it; it is solved at once. Key: R.",
         )
         self._role.on_click(lambda _: emit(SwitchRole(self._point.value)) if self._point.value != "none" else None)

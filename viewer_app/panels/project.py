@@ -48,7 +48,7 @@ SHOWN = (
     ),
     (
         "printed",
-        "One pass, printed",
+        "Printed form",
         "One orthogonal pass through the chosen image's prior in the papers' own printed form, dashed.",
     ),
     (
@@ -70,7 +70,7 @@ class ProjectPanel:
         self._text = Html(gui)
         self._drawn: tuple[object, ...] = ()
         for label, (hint, way) in self._ways().items():
-            button = gui.add_button(label, hint=hint, color=None if label == "Open in rerun" else QUIET)
+            button = gui.add_button(label, hint=hint, color=None if label == "Save project" else QUIET)
             button.on_click(lambda event, way=way: way(event.client))
         self._dark = gui.add_checkbox("Dark", False, hint="Dark or light colours, for every browser of this viewer.")
         bind(self._dark, emit, lambda value: Show("dark", bool(value)))

@@ -16,7 +16,7 @@ from solvers import PhotogrammetryError
 from ..actions import Action, Say
 from ..rerun_shown import shown
 from ..state import MODELS, State
-from .widgets import esc
+from .widgets import QUIET, esc
 
 
 class RerunPanel:
@@ -94,7 +94,8 @@ class RerunPanel:
             self._panel.dock_left()
             self._panel.set_width(width_beside([c.camera.image_width for c in self._server.get_clients().values()]))
             with self._panel.add_tab("Close"):
-                self._gui.add_button(self._close, hint="Close the panel with rerun's viewer.").on_click(lambda _: self._hide())
+                close = self._gui.add_button(self._close, hint="Close the panel with rerun's viewer.", color=QUIET)
+                close.on_click(lambda _: self._hide())
         self._html.content = (
             f'<iframe title="rerun" src="{esc(url)}" style="width:100%;height:calc(100vh - 90px);border:0"></iframe>'
             f'<div style="padding:2px 12px;font-size:12px"><a href="{esc(url)}" target="_blank" rel="noreferrer">'

@@ -61,7 +61,8 @@ def swatch(colour: Colour) -> str:
 
 
 QUIET = (84, 92, 100)
-"""Colour of a button that is not what one mostly comes for."""
+"""Colour of a button that is not what one mostly comes to its tab for; that one, and what takes over a result that waits, have
+the page's own. Steps that belong together are a group, outlined."""
 BOX = 'style="padding:2px 12px 8px;font-size:12px;line-height:1.45"'
 MORE = "More columns to the right: scroll, or widen the panel (key T)."
 """Stands below a table as long as that is wider than its panel."""
