@@ -428,9 +428,9 @@ class App:
                 self._through(client, action)
                 continue
             to = flight(self._state, action, np.array(camera.position), np.array(camera.look_at))
-            if to is not None:
-                if (size := self._canvases.get(number)) is not None:
-                    to = beside_panel(*to, *size, float(camera.fov))
+            if to is not None and (size := self._canvases.get(number)) is not None:
+                to = beside_panel(*to, *size, float(camera.fov))
+            if to is not None and (np.abs(np.concatenate(to)) < FARTHEST).all():  # a point may have been given any coordinates
                 with client.atomic():
                     camera.position, camera.look_at = to
 

@@ -245,7 +245,8 @@ def magnifier_html(state: State, photo: Photo, wire: Wire) -> str:
         u, v = window(state).place(state.mark.col, state.mark.row)
         place = (
             f"position:absolute;{'right' if u < 0.5 else 'left'}:6px;{'bottom' if v < 0.5 else 'top'}:6px;width:min(240px,38%);"
-            "font-size:11px;padding:3px 5px 5px;border-radius:4px;background:var(--mantine-color-body);box-shadow:0 0 0 1px rgba(128,128,128,.6)"
+            "font-size:11px;padding:3px 5px 5px;border-radius:4px;"
+            "background:var(--mantine-color-body);box-shadow:0 0 0 1px rgba(128,128,128,.6)"
         )
     surface = wire.surface("magnifier").replace(
         'style="cursor:crosshair"', f'style="cursor:crosshair;display:block;width:{width}"'
