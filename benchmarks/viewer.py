@@ -33,8 +33,8 @@ from viewer_app import solving  # noqa: E402
 from viewer_app.actions import Cancel, ChoosePoint, SwitchPoint, Unmark  # noqa: E402
 from viewer_app.app import App  # noqa: E402
 from viewer_app.bridge import Wire, open_server  # noqa: E402
-from viewer_app.paint_viser import Painter  # noqa: E402
 from viewer_app.loading import open_project  # noqa: E402
+from viewer_app.paint_viser import Painter  # noqa: E402
 from viewer_app.photo_view import PhotoView, ZoomToMark, percent, window  # noqa: E402
 from viewer_app.state import MODELS, Assets, Job, Solution, State, View, Work  # noqa: E402
 from viewer_app.tabs import whole_scene  # noqa: E402
@@ -430,7 +430,8 @@ def start() -> dict[str, Any]:
                 answering = time.perf_counter() - began
                 page.goto(address)
                 page.wait_for_function("names => { const tree = window.__viserSceneTree?.getState?.(); "
-                                       "return tree && names.every(name => name in tree); }", arg=wanted, polling=20, timeout=120_000)
+                                       "return tree && names.every(name => name in tree); }",
+                                       arg=wanted, polling=20, timeout=120_000)
                 seen.append((answering, time.perf_counter() - began))
             finally:
                 server.terminate()
