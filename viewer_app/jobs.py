@@ -144,8 +144,8 @@ class Lane:
         return None
 
     def _follow(self, task: Task) -> None:
-        """Until the task is done, failed, stopped or gone with its process. One that compiles is let finish that: ended, it would
-        begin it anew."""
+        """Until the task is done, failed, stopped or gone with its process. One that compiles is let finish that where something
+        else is wanted, which would begin it anew; where nothing is, as after Cancel, it is ended all the same."""
         told: float | None = None
         busy = ""
         while True:
@@ -155,21 +155,21 @@ class Lane:
                         told = time.monotonic()
                         with suppress(OSError):
                             self._sender.send(("stop", self._number))
-                    if told is not None and time.monotonic() - told > GRACE and (self._closed or not busy):
+                    if told is not None and time.monotonic() - told > GRACE and not (busy and self._wanted):
                         break
                     self._change.wait(None if told is None else 0.02)
-                message = self._inbox.popleft() if self._inbox else None
+                deaf: tuple[int, str, int, Any] = self._generation, "deaf", self._number, ""
+                generation, kind, number, value = self._inbox.popleft() if self._inbox else deaf
                 still = any(t.key == task.key for t in self._wanted)
-            if message is None:  # it does not listen
-                self._end()
-                self._start()
-                return
-            generation, kind, number, value = message
             if generation != self._generation or (number != self._number and kind != "gone"):
                 continue
             if busy:
                 self._emit(Say("", instead=busy))
                 busy = ""
+            if kind == "deaf":
+                self._end()
+                self._start()
+                return
             if kind == "compiling":
                 busy = value[:1].upper() + value[1:]
                 self._emit(Say(busy))

@@ -157,6 +157,15 @@ def test_what_compiles_says_so_and_is_not_ended_for_it_would_begin_anew(desk: De
     assert update(update(state, Say("another")), Say("", instead=words.message)).message == "another"
 
 
+def test_cancel_ends_even_what_compiles(desk: Desk) -> None:
+    desk.jobs.want((task("first use", compiles, 60.0),))
+    desk.wait(lambda: bool(desk.said()))
+    [number] = desk.jobs.processes()
+    desk.jobs.want(())
+    desk.wait(lambda: desk.jobs.processes() != (number,))
+    assert desk.said()[1:] == [""]  # nor is it said any more
+
+
 def test_a_crash_is_one_sentence_and_the_next_task_works(desk: Desk) -> None:
     desk.jobs.want((task("deadly", die), task("after", count, 2)))
     desk.wait(lambda: desk.values() == [0, 1])
