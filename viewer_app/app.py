@@ -22,6 +22,7 @@ from solvers import Unsupported
 from .actions import Action, Say, Tick, update
 from .actions_solve import Failed, Rows, Solved
 from .bridge import LOCAL_HOSTS, Wire, controls, dress_labels, guard_values, open_server
+from .bundle_state import Bundle
 from .desktop import Desktop, OpenedTab
 from .flying import Fly, asked_by, beside_panel, flight, sees_mosaic
 from .home import home, home_beside
@@ -224,9 +225,10 @@ class App:
         network = state.room(Matching).network
         if not self._oriented and any(s.orientation for s in state.work.solutions.values()):
             self._oriented = self._home_opens = True  # the first camera of a project that had none is looked at
-        made = frozenset(state.room(Mosaic).made)
-        if self._home_opens or network is not self._placed or made != self._made:  # what was placed or made is looked at
-            new, self._placed, self._made = made - (self._made or made), network, made
+        made, adjusted = frozenset(state.room(Mosaic).made), state.room(Bundle).result is not None
+        found = self._placed is not network or self._made != made or self._adjusted != adjusted
+        if self._home_opens or found:  # what was placed, made or adjusted is looked at
+            new, self._placed, self._made, self._adjusted = made - (self._made or made), network, made, adjusted
             self._look()
             if new:
                 self._look_at_mosaic()
@@ -271,6 +273,7 @@ class App:
         self._starts: list[np.ndarray] = []
         self._placed: Network | None = None
         self._made: frozenset[str] | None = None
+        self._adjusted = False
         server.initial_camera.fov = np.radians(45)
         self._look()
         self._dark: bool | None = None

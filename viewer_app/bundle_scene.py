@@ -333,10 +333,10 @@ def bars(state: State) -> Scene:
         return found
     of = offsets(_at_last(state))
     if room.draw_vectors and of is not None and np.abs(of[3][np.concatenate(of[:2])]).max(initial=0.0) > 1e-9:
-        lines.append(("vectors", vector_factor(state), ": corrections of control, check errors"))
+        lines.append(("vectors", vector_factor(state), "corrections and errors"))
     if room.draw_ellipsoids and judged(state) is not None:
-        lines.append(("ellipsoids", ellipsoid_factor(state), ": 95 % ellipsoids, a priori"))
+        lines.append(("ellipsoids", ellipsoid_factor(state), "95 % ellipsoids"))
     for k, (name, factor, words) in enumerate(lines, 1 + bars_drawn(state)):
         length = fitting(corner(state)[1], factor)
-        found |= bar(state, f"/bundle/scale/{name}", k, factor * length, f"{said(length)}{words} (× {factor:g})")
+        found |= bar(state, f"/bundle/scale/{name}", k, factor * length, f"{said(length)}: {words} × {factor:g}")
     return found

@@ -8,6 +8,7 @@ from solvers import Exterior
 
 from .bars import furniture, rectangle
 from .bundle_scene import bars as bundle_bars
+from .bundle_state import Bundle
 from .ground import drawn_ground, site
 from .matching_state import Matching
 from .mosaic_scene import bars as mosaic_bars
@@ -106,6 +107,9 @@ def _seen(state: State, whole: bool = True) -> np.ndarray:
     at += [p for i in state.block.images[:MANY] if i.prior is not None and (p := position(state, i.name)) is not None]
     network = state.room(Matching).network
     at += [] if network is None else [e.centre for e in network.exteriors.values()]
+    bundle = state.room(Bundle)
+    if bundle.result is not None and bundle.layout is not None:
+        at += [*bundle.layout.poses(bundle.rows[-1].x)[0]]
     at += [corner for made in state.room(Mosaic).made.values() for corner in rectangle(state, made)]
     ground = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
     if not whole:
