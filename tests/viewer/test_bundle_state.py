@@ -138,7 +138,7 @@ def test_the_scene_is_few_nodes_and_says_its_scales(done: State) -> None:
     check = mine["/bundle/ellipsoids/check"]
     assert isinstance(check, Ellipsoids) and len(check.centres) == 2
     words = [v.text for p, v in mine.items() if isinstance(v, Label) and "scale" in p]
-    assert any(f"(× {vector_factor(done):g})" in w for w in words) and any(f"(× {ellipsoid_factor(done):g})" in w for w in words)
+    assert all(any(w.endswith(f"× {factor:g}") for w in words) for factor in (vector_factor(done), ellipsoid_factor(done)))
     b = room(done)
     assert b.result is not None and b.layout is not None
     k = b.layout.points.index("G06")
