@@ -18,10 +18,11 @@ DOCS = Path(__file__).resolve().parent
 sys.path.insert(0, str(DOCS.parent))
 
 from tests.browser import ViserPage, viser_page  # noqa: E402
-from viewer_app.actions import GoTo, Show  # noqa: E402
+from viewer_app.actions import Action, GoTo, Show  # noqa: E402
 from viewer_app.app import App  # noqa: E402
 from viewer_app.bundle_actions import RunBundle  # noqa: E402
 from viewer_app.figures import ELEMENTS, RESIDUALS, ChooseFigure  # noqa: E402
+from viewer_app.flying import Fly  # noqa: E402
 from viewer_app.mosaic_actions import MakeMosaic  # noqa: E402
 
 SIZE, HOLD, END = (1280, 800), 700, 3000
@@ -49,12 +50,15 @@ def ready(app: App, v: ViserPage) -> None:
     raise SystemExit("the page never comes to rest")
 
 
-def still(app: App, size: tuple[int, int], path: Path, tab: str = "") -> None:
+def still(app: App, size: tuple[int, int], path: Path, tab: str = "", *then: Action) -> None:
     with viser_page(app.port, size=size) as v:
         v.page.add_style_tag(content=QUIET)
         if tab:
             v.open_tab(tab)
         ready(app, v)
+        for action in then:
+            app.emit(action)
+            ready(app, v)
         v.screenshot(path)
 
 
@@ -92,7 +96,7 @@ def tabs(out: Path) -> None:
         for name in BEFORE_MOSAIC:
             app.emit(Show(name, False))
         app.emit(MakeMosaic("both"))
-        still(app, SIZE, out / "viewer-mosaic.png", "Mosaic")
+        still(app, SIZE, out / "viewer-mosaic.png", "Mosaic", Fly("mosaic", ""))
 
 
 def main(out: Path = DOCS) -> None:

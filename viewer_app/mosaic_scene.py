@@ -330,7 +330,7 @@ def _drift(state: State, room: Mosaic) -> Scene:
     end = to_scene(state, made, _lifted(made.registration, at + factor * found.off.reshape(-1, 2)))
     up = np.array([0, 0, 3 * _hair(state)])
     out: Scene = {"/mosaic/drift/vectors": Segments(np.stack([start, end], axis=1) + up, theme.ORTHOGONAL, 3.0)}
-    return out | _scale(state, made, factor, "drift", "sequential minus simultaneous")
+    return out | _scale(state, made, factor, "drift", "drift")
 
 
 def _residuals(state: State, room: Mosaic, made: Made) -> Scene:
@@ -349,7 +349,7 @@ def _residuals(state: State, room: Mosaic, made: Made) -> Scene:
             found[f"/mosaic/residuals/{role}"] = Segments(
                 lines + np.array([0, 0, 3 * _hair(state)]), theme.RESIDUAL if role == "control" else colour, 3.5
             )
-    return found | _scale(state, made, factor, "residuals", "mosaic minus known points")
+    return found | _scale(state, made, factor, "residuals", "mosaic minus points")
 
 
 def bars(state: State) -> Scene:
