@@ -216,7 +216,8 @@ def _change_segments(nodes: list[Any], old: Segments, new: Segments) -> bool:
 def _add_cloud(scene: viser.SceneApi, path: str, value: PointCloud) -> list[Any]:
     return [
         scene.add_point_cloud(
-            path, value.points.astype(np.float32), value.colours, point_size=value.size, point_shape="circle", precision="float32"
+            path, value.points.astype(np.float32), value.colours, point_size=value.size, point_shape="circle",
+            point_shading="flat", precision="float32",  # shaded, it would have its legend's colour half way out alone
         )
     ]
 

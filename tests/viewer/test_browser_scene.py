@@ -28,7 +28,7 @@ from viewer_app.app import App
 from viewer_app.flying import Fly
 from viewer_app.ground import site, symbol_size
 from viewer_app.scene import scene
-from viewer_app.values import Segments
+from viewer_app.values import PointCloud, Scene, Segments
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(400)]
 
@@ -132,7 +132,7 @@ def test_points_appear_where_projection_says_and_in_their_colour(points_only: Se
 
 
 def test_every_colour_of_the_legend_is_seen_as_it_says(points_only: Session) -> None:
-    """Within 2/255, drawn as lines are."""
+    """Within 2/255, drawn as lines are and as points are."""
     app, v = points_only
     honest = scene(app.state)
     low, high = site(app.state)
@@ -142,15 +142,18 @@ def test_every_colour_of_the_legend_is_seen_as_it_says(points_only: Session) -> 
     camera = next(iter(app.server.get_clients().values())).camera
     before, middle = (np.array(camera.position), np.array(camera.look_at)), ends.mean(axis=(0, 1))
     camera.position, camera.look_at = middle + np.array([0, -1.0, 2.0]) * (high - low)[:2].max(), middle
-    app._painter.paint({f"/line/{name}": Segments(ends[None, k], colour, 7.0) for k, (name, colour) in enumerate(colours)})
-    settle(app, v)
-    v.wait_nodes(*(f"/line/{name}" for name, _ in colours))
+    lines: Scene = {f"/line/{name}": Segments(ends[None, k], colour, 7.0) for k, (name, colour) in enumerate(colours)}
+    dots = PointCloud(at, np.array([colour for _, colour in colours], np.uint8), 0.05 * float((high - low)[:2].max()))
     v.wait_until(lambda: np.allclose(camera.look_at, middle, atol=1e-3) and camera_arrived(app, v), "the camera")
     try:
-        picture = np.asarray(v.wait_still(tolerance=0.05, timeout=120), float)
-        for name, colour in colours:
-            error = np.abs(picture[..., :3] - np.array(colour)).max(axis=-1)[picture[..., 3] > 250]
-            assert (error <= 2).sum() > 20, (name, error.min())
+        for drawn, least in ((lines, 20), (Scene({"/dots": dots}), 200)):
+            app._painter.paint(drawn)
+            settle(app, v)
+            v.wait_nodes(*drawn)
+            picture = np.asarray(v.wait_still(tolerance=0.05, timeout=120), float)
+            for name, colour in colours:
+                error = np.abs(picture[..., :3] - np.array(colour)).max(axis=-1)[picture[..., 3] > 250]
+                assert (error <= 2).sum() > least, (name, error.min())
     finally:
         camera.position, camera.look_at = before
         app._painter.paint(honest)
