@@ -97,7 +97,7 @@ def with_words(page: str, state: State, count: int) -> str:
     dark, title = state.view.dark, f"{state.block.name} · {state.image}" if state.image else state.block.name
     style = STYLE.replace("FORE", css(foreground(dark))).replace("BACK", css(background(dark)) + "e6")
     rows = json.dumps([_row(state, k) for k in range(count)]).replace("<", "\\u003c")
-    script = SCRIPT.replace("ROWS", rows, 1).replace("SECONDS", f"{SECONDS:g}", 1)
+    script = SCRIPT.replace("SECONDS", f"{SECONDS:g}", 1).replace("ROWS", rows, 1)  # rows last: they may say anything
     keys = (("Home", "|◀", "First row (Home)"), ("ArrowLeft", "◀", "Previous row (left arrow)"),
             ("ArrowRight", "▶", "Next row (right arrow)"), ("End", "▶|", "Last row (End)"))  # fmt: skip
     buttons = "".join(f'<button data-key="{k}" title="{t}" aria-label="{t}">{sign}</button>' for k, sign, t in keys)
