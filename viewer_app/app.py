@@ -22,17 +22,12 @@ from solvers import Unsupported
 from .actions import Action, Say, Tick, update
 from .actions_solve import Failed, Rows, Solved
 from .bridge import LOCAL_HOSTS, Wire, controls, dress_labels, guard_values, open_server
-from .bundle_state import Bundle
 from .desktop import Desktop, OpenedTab
-from .flying import Fly, asked_by, beside_panel, flight, sees_mosaic
-from .home import home, home_beside
+from .eyes import Eyes
+from .flying import Fly, asked_by
 from .jobs import Jobs
 from .keeping import Keeper, resume
 from .loading import bring, open_project
-from .looking import looked_through
-from .matching_state import Matching, Network
-from .mosaic_state import Mosaic
-from .overlay import view_through
 from .paint_viser import Painter
 from .palette import complete
 from .panels.status import StatusLine
@@ -45,8 +40,6 @@ from .widths import NARROW, OVER, Widths
 PICK_PIXELS = 12.0
 """How far from a point's middle a click still means it, pixels of the screen."""
 LATENCIES = 200
-STARTS = 20
-"""Places where browsers began, or were put, that are remembered."""
 PATIENCE = 0.04
 """How long a repaint waits for the chosen image's solutions, which then come in the same picture, seconds; anything else that
 happens meanwhile is answered at once."""
@@ -65,9 +58,7 @@ class App:
             raise Unsupported(f"host {host} would open the project to other machines; give a token as well (--token WORD)")
         opened = folder if isinstance(folder, State) else open_project(folder)
         self._state = resume(opened)
-        self._view = self._state.room(Desktop).view
         self._keeper = Keeper(opened.assets.folder, opened.block, self._left_as)
-        self._viewed = 0.0
         self._actions: queue.Queue[Action | Callable[[], None] | None] = queue.Queue()
         self.latencies: list[float] = []
         self.server = open_server(host, port, token)
@@ -77,8 +68,6 @@ class App:
         self._painter = Painter(self.server)
         self._panels: list[Panel] = []
         self._build()
-        self._oriented = False
-        self._home_opens = True  # until everything was solved once, what is found widens the first view
         self._kept: tuple[Any, ...] = ()
         self._painting = 0.0
         self._closed, self._first = threading.Event(), threading.Event()
@@ -106,7 +95,7 @@ class App:
         self._actions.put(None)
         self._loop.join(timeout=10)
         self._reader.join(timeout=10)
-        if self._view != self._state.room(Desktop).view:
+        if self._eyes.view != self._state.room(Desktop).view:
             self._keeper.changed()
         self._keeper.close()
         self._jobs.close()
@@ -149,13 +138,13 @@ class App:
         worked = bool(taken)
         for action in taken:
             if not isinstance(action, Action):
-                action()
+                self._try("What a browser asked for", action)
                 continue
             before = self._state
             try:
                 self._state = update(self._state, action)
                 if isinstance(action, Fly):
-                    self._fly(action)
+                    self._eyes.fly(action)
             except Exception as error:
                 logging.getLogger("collinea").exception("%s", action)
                 self._state = update(self._state, Say(f"{type(action).__name__} could not be done: {error}"))
@@ -222,17 +211,7 @@ class App:
         jobs = wanted(state)
         if not any(job.image == state.image and job.model in MODELS for job in jobs):
             self._first.set()
-        network = state.room(Matching).network
-        if not self._oriented and any(s.orientation for s in state.work.solutions.values()):
-            self._oriented = self._home_opens = True  # the first camera of a project that had none is looked at
-        made, adjusted = frozenset(state.room(Mosaic).made), state.room(Bundle).result is not None
-        found = self._placed is not network or self._made != made or self._adjusted != adjusted
-        if self._home_opens or found:  # what was placed, made or adjusted is looked at
-            new, self._placed, self._made, self._adjusted = made - (self._made or made), network, made, adjusted
-            self._look()
-            if new:
-                self._look_at_mosaic()
-            self._home_opens = bool(jobs)
+        self._eyes.follow(state, bool(jobs))
         with self.server.atomic():
             self._try("The scene", lambda: self._painter.paint(whole_scene(state)))
             for panel in self._panels:
@@ -266,16 +245,7 @@ class App:
         server.scene.set_up_direction("+z")
         server.scene.world_axes.visible = False
         server.scene.configure_default_lights(cast_shadow=False)
-        self._before: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray, float]] = {}
-        self._home: tuple[np.ndarray, np.ndarray, float] | None = None
-        self._canvases: dict[int, tuple[float, float]] = {}
-        self._homes: dict[int, list[np.ndarray]] = {}
-        self._starts: list[np.ndarray] = []
-        self._placed: Network | None = None
-        self._made: frozenset[str] | None = None
-        self._adjusted = False
-        server.initial_camera.fov = np.radians(45)
-        self._look()
+        self._eyes = Eyes(server, lambda: self._state, self._actions.put, lambda: self._keeper.changed())
         self._dark: bool | None = None
         gui.set_panel_label("Collinea")
         self._wire = Wire(server, self._heard)
@@ -322,135 +292,28 @@ class App:
             if (action := act if isinstance(act, Action) else act(self._state)) is not None:
                 self.emit(asked_by(action, client))
 
-    def _look(self) -> None:
-        """Look at all there is; who has moved already keeps the own view."""
-        old, (position, at, far) = self._home, home(self._state)
-        if old is not None and np.linalg.norm(position - old[0]) < 0.02 * np.linalg.norm(position - at):
-            return
-        self._home = position, at, far
-        self._starts = [*self._starts[-STARTS:], position]
-        camera = self.server.initial_camera
-        camera.position, camera.look_at, camera.far, camera.near = position, at, far, far / 20000
-        if self._view:
-            camera.position, camera.look_at = np.array(self._view[:3]), np.array(self._view[3:])
-        for client in self.server.get_clients().values():
-            self._frame(client)
-
-    def _look_at_mosaic(self) -> None:
-        """A mosaic was made: who has moved and sees nothing of it is taken there, or told where others look too."""
-        clients = self.server.get_clients()
-        for number, client in clients.items():
-            camera = client.camera
-            here = np.array(camera.position), np.array(camera.look_at)
-            if self._unmoved(number, here[0]) or looked_through(self._state):
-                continue
-            if sees_mosaic(self._state, *here, float(camera.fov), camera.image_width / max(camera.image_height, 1)):
-                continue
-            said = Say("The mosaic lies out of view: H shows all there is")
-            self.emit(Fly("home", "", number) if len(clients) == 1 else said)
-
-    def _frame(self, client: viser.ClientHandle) -> None:
-        """Show a browser all there is beside the panels that lie over its canvas, unless it has moved: it stands neither where it
-        was put last nor where browsers begin."""
-        if self._unmoved(client.client_id, client.camera.position):
-            self._show_all(client)
-
-    def _show_all(self, client: viser.ClientHandle) -> None:
-        size, shown = self._canvases.get(client.client_id), client.camera
-        if size is None or not possible(shown):
-            return
-        position, at = home_beside(self._state, *size, float(shown.fov))
-        self._homes[client.client_id] = [*self._homes.get(client.client_id, [])[-STARTS:], position]
-        with client.atomic():
-            shown.position, shown.look_at = position, at
-
-    def _unmoved(self, client_id: int, position: np.ndarray) -> bool:
-        known = np.array([*self._starts, *self._homes.get(client_id, [])])
-        return bool((np.abs(known - position) < 1e-3 + 1e-3 * np.abs(known)).all(axis=1).any())
-
     def _sized(self, client_id: int | None, value: Any) -> None:
-        """A browser says how large its canvas is: width and height in 10,000 px."""
-        if client_id is None or not (isinstance(value, tuple) and len(value) == 2 and min(value) >= 0.001):
+        """A browser says how large its canvas and its page are: widths and heights in 10,000 px."""
+        if client_id is None or not (isinstance(value, tuple) and len(value) == 4 and min(value) >= 0.001):
             return
-        self._canvases[client_id] = 1e4 * value[0], 1e4 * value[1]
-        self._widths.canvas(client_id, self._canvases[client_id])
-        if (client := self.server.get_clients().get(client_id)) is not None:
-            self._frame(client)
+        width, height, page, _ = (1e4 * v for v in value)
+        self._widths.sized(client_id, (width, height), page)
+        self._eyes.sized(client_id, (width, height))
 
     def _came(self, client: viser.ClientHandle) -> None:
-        """A page has a camera of its own until it has taken ours."""
-
-        async def looks(camera: viser.CameraHandle) -> None:
-            if not possible(camera):
-                return
-            if self._unmoved(client.client_id, camera.position):
-                if client.client_id not in self._homes:
-                    self._actions.put(lambda: self._frame(client))
-                return
-            here = *camera.position, *camera.look_at
-            if client.client_id not in self._homes and self._view and np.allclose(here, self._view, rtol=1e-3, atol=1e-3):
-                self._homes[client.client_id] = [np.array(self._view[:3])]  # it looks as the last one did
-            elif client.client_id in self._homes:
-                self._looked(camera)
-
-        client.camera.on_update(looks)
-        self._actions.put(lambda: self._frame(client))
+        self._eyes.came(client)
+        self._wire.measure(client.client_id)
         room = self._state.room(Desktop)
         if opened := [name for name in (room.side, room.below) if name]:
             self._wire.open(client.client_id, opened)
 
-    def _looked(self, camera: viser.CameraHandle) -> None:
-        """Keep from where somebody looks, but not through which photo."""
-        if looked_through(self._state) or camera.client.client_id in self._before:
-            return
-        self._view = tuple(map(float, (*camera.position, *camera.look_at)))
-        if time.monotonic() - self._viewed > 0.5:
-            self._viewed = time.monotonic()
-            self._keeper.changed()
-
     def _left_as(self) -> State:
         """The state with the view of who moved last, which is no part of it while people move."""
-        return self._state.with_room(replace(self._state.room(Desktop), view=self._view))
+        return self._state.with_room(replace(self._state.room(Desktop), view=self._eyes.view))
 
     def _left(self, client: viser.ClientHandle) -> None:
-        for known in (self._canvases, self._homes, self._before):
-            known.pop(client.client_id, None)
+        self._eyes.left(client.client_id)
         self._actions.put(lambda: self._widths.left(client.client_id))
-
-    def _fly(self, action: Fly) -> None:
-        """Turn the view of the browser that asked."""
-        for number, client in self.server.get_clients().items():
-            camera = client.camera
-            if (action.client not in (None, number) and action.what != "back") or not possible(camera):
-                continue
-            if action.what == "home":
-                self._view = ()
-                self._show_all(client)
-                continue
-            if action.what in ("through", "back"):
-                self._through(client, action)
-                continue
-            to = flight(self._state, action, np.array(camera.position), np.array(camera.look_at))
-            if to is not None and (size := self._canvases.get(number)) is not None:
-                to = beside_panel(*to, *size, float(camera.fov))
-            if to is not None and (np.abs(np.concatenate(to)) < FARTHEST).all():  # a point may have been given any coordinates
-                with client.atomic():
-                    camera.position, camera.look_at = to
-
-    def _through(self, client: viser.ClientHandle, action: Fly) -> None:
-        """Put a browser's eye into an image's perspective centre, or back to where it came from."""
-        camera = client.camera
-        if action.what == "through":
-            to = view_through(self._state, action.name, camera.image_width / max(camera.image_height, 1))
-            if to is not None:
-                here = np.array(camera.position), np.array(camera.look_at), np.array(camera.up_direction), float(camera.fov)
-                self._before.setdefault(client.client_id, here)
-        else:
-            to = self._before.pop(client.client_id, None)
-        if to is not None:
-            with client.atomic():
-                camera.up_direction = to[2]
-                camera.position, camera.look_at, camera.fov = to[0], to[1], to[3]
 
     def _theme(self, dark: bool) -> None:
         if dark != self._dark:
@@ -459,10 +322,8 @@ class App:
 
     def _heard(self, kind: str, value: Any, client: int | None = None) -> None:
         """What came through the wire; anyone who can open the page can send anything: the tabs check it again."""
-        if kind == "canvas":
+        if kind == "sizes":
             self._actions.put(lambda: self._sized(client, value))
-        if kind == "page" and client is not None and isinstance(value, tuple) and len(value) == 2:
-            self._actions.put(lambda: self._widths.page(client, 1e4 * value[0]))
         if kind == "tab" and (tab := next((t for t in tabs() if t.name == value), None)) is not None:
             if tab.place == "below" and client is not None:
                 self._actions.put(partial(self._widths.opened, client, tab.name))
@@ -479,16 +340,6 @@ class App:
         action = next((a for meant in meanings if (a := meant(self._state, *ray)) is not None), None)
         if action is not None:
             self.emit(asked_by(action, event.client.client_id))
-
-
-FARTHEST = 1e12
-"""Farthest a browser may look from or to, m."""
-
-
-def possible(camera: viser.CameraHandle) -> bool:
-    """Whether a browser can look so: it says it itself, and anyone can say anything."""
-    numbers = np.array([*camera.position, *camera.look_at, *camera.up_direction, camera.fov], float)
-    return bool((np.abs(numbers) < FARTHEST).all()) and 0 < camera.fov < np.pi
 
 
 def _solved_otherwise(before: State, after: State) -> bool:

@@ -290,6 +290,10 @@ class Wire:
         """Bring a text box or a file's button of a tab before the keyboard of one browser."""
         self._run_in(client_id, f"collinea.reach({json.dumps(tab)}, {json.dumps(label)})")
 
+    def measure(self, client_id: int) -> None:
+        """Let one browser say how large its page and its pictures are."""
+        self._run_in(client_id, "window.collinea?.measure()")
+
     def open(self, client_id: int, tabs: list[str]) -> None:
         """Open tabs in one browser."""
         self._run_in(client_id, f"collinea.open({json.dumps(tabs)})")

@@ -62,13 +62,9 @@ class Widths:
         self._open: dict[int, str] = {}
         self._sent: dict[tuple[int, str], int] = {}
 
-    def page(self, client: int, width: float) -> None:
-        """A browser says how wide its page is."""
-        self._pages[client] = width
-
-    def canvas(self, client: int, size: Size) -> None:
-        """A browser says what the main panel leaves to the scene."""
-        self._canvases[client] = size
+    def sized(self, client: int, canvas: Size, page: float) -> None:
+        """A browser says how wide its page is, and what the main panel leaves of it to the scene."""
+        self._pages[client], self._canvases[client] = page, canvas
 
     def opened(self, client: int, tab: str) -> None:
         """A browser says which tab was opened over its scene."""
@@ -88,11 +84,8 @@ class Widths:
         room = state.room(Desktop)
         for client, page in list(self._pages.items()):
             self._set(client, "side", panel_width(room.panel, page))
-            canvas = self._canvases.get(client)
-            if canvas is None:
-                continue
             photo = self.shows(client, state) == PHOTO and bool(state.block.images)
-            self._set(client, "below", photo_width(room.photo, canvas, _aspect(state)) if photo else OVER)
+            self._set(client, "below", photo_width(room.photo, self._canvases[client], _aspect(state)) if photo else OVER)
 
     def _set(self, client: int, panel: str, width: int) -> None:
         if self._sent.get((client, panel)) != width:

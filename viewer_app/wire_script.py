@@ -5,26 +5,31 @@ window.collinea = (() => {
   let count = 0;
   const send = (kind, value) => window.__viserMutable.sendMessage(
     {type: 'GuiUpdateMessage', uuid: UUID, updates: {value: JSON.stringify([kind, value, Date.now() + '-' + count++])}});
-  const page = () => send('page', [innerWidth / 1e4, innerHeight / 1e4]);
-  addEventListener('resize', page);
+  const canvas = () => window.__viserMutable?.canvas;
+  const sizes = () => {
+    const {clientWidth: width, clientHeight: height} = canvas() ?? {};
+    if (width) send('sizes', [width, height, innerWidth, innerHeight].map(v => Math.min(v / 1e4, 1)));
+  };
+  addEventListener('resize', sizes);
   const watch = () => {  // how large the canvas is, whenever that changes
-    const canvas = window.__viserMutable?.canvas;
-    if (!canvas?.clientWidth) { setTimeout(watch, 30); return; }
-    page();
-    new ResizeObserver(() => send('canvas', [canvas.clientWidth / 1e4, canvas.clientHeight / 1e4])).observe(canvas);
+    if (canvas()?.clientWidth) new ResizeObserver(sizes).observe(canvas());
+    else setTimeout(watch, 30);
   };
   watch();
   // how wide the photo is drawn, once it rests, and how many pixels of the screen one of the page has
   let photo = null, drawn = '', soon = 0;
+  const photoSize = () => {
+    const width = photo?.isConnected ? photo.getBoundingClientRect().width : 0, size = width + '/' + devicePixelRatio;
+    if (width < 50 || size === drawn) return;
+    drawn = size;
+    send('photo-size', [width / 1e4, Math.min(devicePixelRatio, 10) / 10]);
+  };
   const photos = new ResizeObserver(() => {
     clearTimeout(soon);
-    soon = setTimeout(() => {
-      const width = photo?.isConnected ? photo.getBoundingClientRect().width : 0, size = width + '/' + devicePixelRatio;
-      if (width < 50 || size === drawn) return;
-      drawn = size;
-      send('photo-size', [width / 1e4, Math.min(devicePixelRatio, 10) / 10]);
-    }, 60);
+    soon = setTimeout(photoSize, 60);
   });
+  // the server asks once it knows this browser: what was said before is lost
+  const measure = () => { sizes(); drawn = ''; photoSize(); };
   const seePhoto = () => {
     const now = document.getElementById('collinea-photo');
     if (now === photo) return;
@@ -230,6 +235,6 @@ window.collinea = (() => {
     box.addEventListener('keydown', () => done.abort(), {signal});
     box.addEventListener('blur', back, {signal});
   };
-  return {send, press, key, change, typed, down, wheel, reach, open};
+  return {send, press, key, change, typed, down, wheel, reach, open, measure};
 })();
 """

@@ -54,7 +54,8 @@ def viewed(
 def framed(app: App, v: ViserPage) -> bool:
     """Whether the panels are docked and the first view is that of the canvas beside them."""
     size = v.page.evaluate("() => [window.__viserMutable.canvas.clientWidth, window.__viserMutable.canvas.clientHeight]")
-    here = [app._homes[n] for n, known in app._canvases.items() if np.allclose(known, size, atol=0.5) and n in app._homes]
+    eyes = app._eyes
+    here = [eyes.homes[n] for n, known in eyes.canvases.items() if np.allclose(known, size, atol=0.5) and n in eyes.homes]
     width = v.page.evaluate("() => window.innerWidth")
     return size[0] < width and bool(here) and camera_arrived(app, v)
 

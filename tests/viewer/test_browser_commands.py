@@ -345,14 +345,15 @@ def test_a_restart_reconnects_and_restores_the_state(session: Session, tmp_path_
             v.open_tab("Compare")
             v.open_tab("Scene")
             until(first, v, lambda: first.state.room(Desktop).below == "Scene", "the tabs")
-            v.wait_until(lambda: bool(first._homes), "the first view")
+            eyes = first._eyes
+            v.wait_until(lambda: bool(eyes.homes), "the first view")
             camera = next(iter(first.server.get_clients().values())).camera
             position = camera.position + np.array([3.0, -2.0, 1.0])
             camera.position = position
             v.wait_until(
-                lambda: len(first._view) == 6 and np.allclose(first._view[:3], position, atol=1e-3), "the way to another view"
+                lambda: len(eyes.view) == 6 and np.allclose(eyes.view[:3], position, atol=1e-3), "the way to another view"
             )
-            before, looked = first.state, first._view
+            before, looked = first.state, eyes.view
             said = to_json(first._left_as(), first._keeper.disk)
             first.close()
             with App(folder, port=first.port) as second:
@@ -369,7 +370,7 @@ def test_a_restart_reconnects_and_restores_the_state(session: Session, tmp_path_
                 assert now.room(Bundle).free == ("c",)
                 assert (now.room(Desktop).panel, now.room(Desktop).photo) == ("wide", "small")
                 v.wait_until(lambda: 0 <= SCENE - canvas_width(v) < 10, "the wide panel, as far as the page has room")
-                assert second._view == looked and np.allclose(second.server.initial_camera.position, position, atol=1e-3)
+                assert second._eyes.view == looked and np.allclose(second.server.initial_camera.position, position, atol=1e-3)
                 for tab in ("Compare", "Scene"):
                     v.page.get_by_role("tab", name=tab, exact=True, selected=True).wait_for()
                 v.wait_until(lambda: has_pose(second, v, camera_path(second)), "the frustum")

@@ -243,11 +243,23 @@ def test_a_name_flies_there_in_the_browser_that_asked(session: Session) -> None:
     at = app.state.assets.frame.to_local(app.state.block.points.xyz[[app.state.block.point_index(name)]])[0]
 
     def there() -> bool:
-        [(width, height)] = app._canvases.values()
+        [(width, height)] = app._eyes.canvases.values()
         beside = (PANEL + width) / 2 if width / 2 < PANEL + BESIDE else width / 2  # where the panel does not hide it
         return app.state.point == name and bool(np.allclose(v.project(at), [beside, height / 2], atol=1))
 
     v.wait_until(there, "the flight")
+
+
+def test_a_page_says_how_large_it_is_once_the_viewer_knows_it(session: Session) -> None:
+    """What it says before that is lost."""
+    app, v = session
+    [number], [client] = app._eyes.canvases, app.server.get_clients().values()
+    before = dict(app._widths._pages)
+    app._widths.left(number)
+    app._eyes.canvases.clear()
+    app._came(client)
+    until(app, v, lambda: number in app._eyes.canvases, "the sizes")
+    assert app._widths._pages == before == {number: 1150.0}
 
 
 def test_an_image_is_chosen_from_the_list(session: Session) -> None:

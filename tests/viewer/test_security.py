@@ -262,7 +262,7 @@ def test_ten_thousand_mutated_messages_leave_the_server_alive_and_the_state_vali
     rng = np.random.default_rng(17)
     handles = controls(app.server.gui)
     seeds = [update(h, value=h.value) for h in handles if not isinstance(h, viser.GuiUploadButtonHandle)]  # type: ignore[attr-defined]
-    kinds_heard = sorted({kind for tab in tabs() for kind in tab.heard} | {"tab", "canvas", "page", "nobody"})
+    kinds_heard = sorted({kind for tab in tabs() for kind in tab.heard} | {"tab", "sizes", "nobody"})
     seeds += [{**update(labelled(app, "wire"), value=""), "wire": kinds_heard}] * (len(seeds) // 2)
     seeds += [{"type": "GuiButtonHoldMessage", "uuid": "x", "frequency": 10.0}, {"type": "ShareUrlRequest"}]
     seeds += [{"type": "CommandTriggerMessage", "uuid": "x"}, {**CAMERA, "fov": math.nan, "position": [math.inf, 0, 0]}]

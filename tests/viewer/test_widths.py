@@ -64,8 +64,7 @@ def test_every_browser_has_its_own_widths_and_hears_of_them_once(state: State) -
     widths.fit(state)
     assert not said  # nobody there
     for client, page in ((1, 1280.0), (2, 2560.0)):
-        widths.page(client, page)
-        widths.canvas(client, (page - panel_width(FITS, page), 1440.0))
+        widths.sized(client, (page - panel_width(FITS, page), 1440.0), page)
     widths.fit(state)
     widths.fit(state)
     assert said == [(1, "side", NARROW), (1, "below", OVER), (2, "side", FULL), (2, "below", OVER)]
@@ -86,8 +85,7 @@ def test_every_browser_has_its_own_widths_and_hears_of_them_once(state: State) -
 def test_a_project_without_images_has_no_photo_to_grow(state: State) -> None:
     said: list[tuple[int, str, int]] = []
     widths = Widths(lambda *what: said.append(what))
-    widths.page(1, 1280.0)
-    widths.canvas(1, (870.0, 800.0))
+    widths.sized(1, (870.0, 800.0), 1280.0)
     widths.opened(1, "Photo")
     widths.fit(replace(state, work=replace(state.work, block=replace(state.block, images=()))))
     assert said == [(1, "side", NARROW), (1, "below", OVER)]
