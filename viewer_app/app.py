@@ -211,7 +211,7 @@ class App:
         jobs = wanted(state)
         if not any(job.image == state.image and job.model in MODELS for job in jobs):
             self._first.set()
-        self._eyes.follow(state, bool(jobs))
+        self._try("The view", lambda: self._eyes.follow(state, bool(jobs)))
         with self.server.atomic():
             self._try("The scene", lambda: self._painter.paint(whole_scene(state)))
             for panel in self._panels:

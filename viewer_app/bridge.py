@@ -173,7 +173,8 @@ def guard_values(server: viser.ViserServer, afterwards: Callable[[Callable[[], N
 
     async def checked(client_id: int, message: Any) -> None:
         handle = gui._gui_input_handle_from_uuid.get(message.uuid) if isinstance(message.uuid, str) else None
-        if handle is None or set(message.updates) != {"value"} or not acceptable(handle, message.updates["value"]):
+        updates = message.updates if isinstance(message.updates, dict) else {}
+        if handle is None or set(updates) != {"value"} or not acceptable(handle, updates["value"]):
             logging.getLogger("collinea").debug("refused: %s", str(message)[:200])
             if handle is not None and not handle._impl.is_button:
                 again = _messages.GuiUpdateMessage(message.uuid, {"value": handle._impl.value})

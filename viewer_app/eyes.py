@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import viser
@@ -40,9 +40,12 @@ class Look(NamedTuple):
 
 def look_of(camera: viser.CameraHandle) -> Look | None:
     """How a browser looks, read once; None where nobody can look so: it says it itself, and anyone can say anything."""
-    vectors = [np.array(v, float) for v in (camera.position, camera.look_at, camera.up_direction)]
-    look = Look(*vectors, float(camera.fov), camera.image_width / max(camera.image_height, 1))
-    numbers = np.array([*np.concatenate(vectors), look.fov, look.aspect])
+    try:
+        position, at, up = (np.array(v, float).reshape(3) for v in (camera.position, camera.look_at, camera.up_direction))
+        look = Look(position, at, up, float(camera.fov), camera.image_width / max(camera.image_height, 1))
+        numbers = np.array([*position, *at, *up, look.fov, look.aspect])
+    except (TypeError, ValueError):
+        return None
     return look if (np.abs(numbers) < FARTHEST).all() and 0 < look.fov < np.pi else None
 
 
@@ -54,7 +57,7 @@ def turn(
     if not (np.abs(np.concatenate([position, at])) < FARTHEST).all():  # a point may have been given any coordinates
         return
     camera = client.camera
-    with suppress(ValueError), client.atomic():
+    with suppress(LookupError, TypeError, ValueError), client.atomic():
         if up is not None:
             camera.up_direction = up
         camera.position, camera.look_at = position, at
@@ -138,12 +141,11 @@ class Eyes:
     def frame(self, client: viser.ClientHandle) -> None:
         """Show a browser all there is beside the panels that lie over its canvas, unless it has moved: it stands neither where it
         was put last nor where browsers begin."""
-        if self._unmoved(client.client_id, client.camera.position):
-            self._show_all(client)
+        if (look := look_of(client.camera)) is not None and self._unmoved(client.client_id, look.position):
+            self._show_all(client, look)
 
-    def _show_all(self, client: viser.ClientHandle) -> None:
-        size, look = self.canvases.get(client.client_id), look_of(client.camera)
-        if size is None or look is None:
+    def _show_all(self, client: viser.ClientHandle, look: Look) -> None:
+        if (size := self.canvases.get(client.client_id)) is None:
             return
         position, at = home_beside(self._state(), *size, look.fov)
         self.homes[client.client_id] = [*self.homes.get(client.client_id, [])[-STARTS:], position]
@@ -200,12 +202,12 @@ class Eyes:
     def fly(self, action: Fly) -> None:
         """Turn the view of the browser that asked."""
         for number, client in self._server.get_clients().items():
-            look: Any = look_of(client.camera)
-            if (action.client not in (None, number) and action.what != "back") or look is None:
+            look = look_of(client.camera)
+            if look is None or (action.client not in (None, number) and action.what != "back"):
                 continue
             if action.what == "home":
                 self.view = ()
-                self._show_all(client)
+                self._show_all(client, look)
             elif action.what == "through":
                 if (to := view_through(self._state(), action.name, look.aspect)) is not None:
                     self._before.setdefault(number, look)

@@ -28,6 +28,7 @@ from viewer_app.bridge import MAX_UPLOAD, controls
 from viewer_app.bundle_actions import RunBundle
 from viewer_app.bundle_state import Bundle
 from viewer_app.bundle_tasks import tasks as bundle_tasks
+from viewer_app.eyes import look_of, turn
 from viewer_app.replay_page import with_words
 from viewer_app.state import State
 from viewer_app.tabs import tabs
@@ -232,6 +233,9 @@ def mutated(rng: np.random.Generator, message: dict[str, Any]) -> dict[str, Any]
         data = bytearray(msgspec.msgpack.encode(message))
         data[rng.integers(len(data))] = rng.integers(256)
         return bytes(data)
+    if message["type"] == CAMERA["type"]:  # how it looks, or nearly
+        field = list(CAMERA)[1 + int(rng.integers(len(CAMERA) - 1))]
+        return {**CAMERA, field: (*strange, [math.nan] * 3, [1e308, 0, 0], [0, 0, 0])[int(rng.integers(len(strange) + 3))]}
     if "updates" not in message:
         return message
     if chance < 0.01:
@@ -256,6 +260,25 @@ def count_arrivals(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return arrived
 
 
+def test_a_browser_that_says_it_looks_from_nowhere_is_left_alone(app: App) -> None:
+    told: list[Any] = []
+    app.server.on_client_connect(told.append)
+    speak(app, [{**CAMERA, "fov": "wide"}, CAMERA])
+    camera = told[0].camera
+    assert look_of(camera) is not None
+    turn(told[0], np.array([1.0, 2.0, 3.0]), np.zeros(3))
+    assert camera.position[2] == 3
+    nowhere: list[dict[str, Any]] = [{"position": np.array([math.inf, 0, 0])}, {"look_at": np.zeros(2)}, {"wxyz": np.ones(3)}]
+    for wrong in ({"fov": math.nan}, {"fov": "wide"}, *nowhere):
+        camera._state, honest = replace(camera._state, **wrong), camera._state
+        assert look_of(camera) is None or "wxyz" in wrong
+        turn(told[0], np.array([4.0, 5.0, 6.0]), np.zeros(3))  # between reading and turning, the camera may say so
+        camera._state = honest
+    turn(told[0], np.array([1e300, 0, 0]), np.zeros(3))
+    assert (np.abs(camera.position) < 10).all()
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")  # viser says what it is told
 def test_ten_thousand_mutated_messages_leave_the_server_alive_and_the_state_valid(
     app: App, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -265,7 +288,7 @@ def test_ten_thousand_mutated_messages_leave_the_server_alive_and_the_state_vali
     kinds_heard = sorted({kind for tab in tabs() for kind in tab.heard} | {"tab", "sizes", "nobody"})
     seeds += [{**update(labelled(app, "wire"), value=""), "wire": kinds_heard}] * (len(seeds) // 2)
     seeds += [{"type": "GuiButtonHoldMessage", "uuid": "x", "frequency": 10.0}, {"type": "ShareUrlRequest"}]
-    seeds += [{"type": "CommandTriggerMessage", "uuid": "x"}, {**CAMERA, "fov": math.nan, "position": [math.inf, 0, 0]}]
+    seeds += [{"type": "CommandTriggerMessage", "uuid": "x"}, CAMERA, CAMERA]
     kinds = {id(h): type(h.value) for h in handles}  # type: ignore[attr-defined]
     arrived = count_arrivals(monkeypatch)
     for _ in range(200):
