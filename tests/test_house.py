@@ -25,7 +25,7 @@ PEERS = {"cameras", "geometry", "errors", "compiled", "workflows", "report"}
 """Rooms of one tier that know each other."""
 
 MAY_IMPORT = {
-    "viser": r"viewer_app/(app|bridge|paint_viser|picking|home|loading|tabs|palette|panels/\w+)\.py",
+    "viser": r"viewer_app/(app|bridge|eyes|paint_viser|tabs|palette|panels/\w+)\.py",
     "rerun": r"viewer_app/(paint_rerun|rerun_\w+)\.py",
     "rasterio": r"solvers/io/\w+\.py",
     "pyproj": r"solvers/(io/\w+|geometry/frame)\.py",
