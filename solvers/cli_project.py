@@ -95,14 +95,20 @@ EXPORTS = (
 
 
 def _demo(args: argparse.Namespace) -> int:
+    from viewer_app import spare
+
     from .io import demo_copy
 
+    spare.prepare()
     return _open_viewer(args, demo_copy())
 
 
 def _view(args: argparse.Namespace) -> int:
+    from viewer_app import spare
+
     from .io import read_project
 
+    spare.prepare()
     folder = Path(args.project)
     read_project(folder)
     return _open_viewer(args, folder)

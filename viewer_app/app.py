@@ -21,7 +21,7 @@ from solvers import Unsupported
 
 from .actions import Action, Say, Tick, update
 from .actions_solve import Failed, Rows, Solved
-from .bridge import LOCAL_HOSTS, Wire, controls, dress_labels, guard_values, open_server
+from .bridge import Wire, controls, dress_labels, guard_values, is_local, open_server
 from .desktop import Desktop, OpenedTab
 from .eyes import Eyes
 from .flying import Fly, asked_by
@@ -54,7 +54,7 @@ class App:
     """
 
     def __init__(self, folder: Path | str | State, *, host: str = "127.0.0.1", port: int = 0, token: str | None = None) -> None:
-        if host not in LOCAL_HOSTS | {"::1"} and not token:
+        if not is_local(host) and not token:
             raise Unsupported(f"host {host} would open the project to other machines; give a token as well (--token WORD)")
         opened = folder if isinstance(folder, State) else open_project(folder)
         self._state = resume(opened)

@@ -46,12 +46,17 @@ class Server(viser.ViserServer):
         return None
 
 
+def is_local(host: str) -> bool:
+    """Whether an address to listen at is this machine's own, which no other can reach."""
+    return host in LOCAL_HOSTS | {"::1"}
+
+
 def open_server(host: str = "127.0.0.1", port: int = 0, token: str | None = None) -> viser.ViserServer:
     """A server that answers its own pages only: known Host, same Origin, and the right token if there is one.
 
     Raises Unsupported where viser is another version and a host beyond this machine is asked for: then nothing would guard it.
     """
-    remote = host not in LOCAL_HOSTS | {"::1"}
+    remote = not is_local(host)
     if not known_version():
         if remote or token:
             raise Unsupported(

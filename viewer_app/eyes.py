@@ -83,6 +83,7 @@ class Eyes:
         self.view = state().room(Desktop).view
         self.canvases: dict[int, tuple[float, float]] = {}
         self.homes: dict[int, list[np.ndarray]] = {}
+        self._framed: dict[int, tuple[float, float]] = {}  # for which canvas
         self._viewed = 0.0
         self._before: dict[int, Look] = {}
         self._home: tuple[np.ndarray, np.ndarray, float] | None = None
@@ -147,6 +148,7 @@ class Eyes:
     def _show_all(self, client: viser.ClientHandle, look: Look) -> None:
         if (size := self.canvases.get(client.client_id)) is None:
             return
+        self._framed[client.client_id] = size
         position, at = home_beside(self._state(), *size, look.fov)
         self.homes[client.client_id] = [*self.homes.get(client.client_id, [])[-STARTS:], position]
         turn(client, position, at)
@@ -172,7 +174,7 @@ class Eyes:
             if look is None:
                 return
             if self._unmoved(number, look.position):
-                if number not in self.homes:
+                if self._framed.get(number) != self.canvases.get(number):
                     self._put(lambda: self.frame(client))
                 return
             here = *look.position, *look.at
@@ -194,7 +196,7 @@ class Eyes:
             self._changed()
 
     def left(self, number: int) -> None:
-        for known in (self.canvases, self.homes, self._before):
+        for known in (self.canvases, self.homes, self._framed, self._before):
             known.pop(number, None)
 
     # -- flights

@@ -45,11 +45,15 @@ class Sender:
         self._known: dict[int, tuple[Block, int]] = {}
         self._count = 0
 
-    def send(self, value: Any) -> None:
-        """Raises OSError where nobody listens any more, and what pickle raises for values that cannot travel."""
+    def pack(self, value: Any) -> bytes:
+        """A value that is read when the other end `unpack`s it. Raises what pickle raises for values that cannot travel."""
         out = io.BytesIO()
         _Pickler(out, self._number).dump(value)
-        data = out.getbuffer()
+        return out.getvalue()
+
+    def send(self, value: Any) -> None:
+        """Raises OSError where nobody listens any more, and what pickle raises for values that cannot travel."""
+        data = self.pack(value)
         self._stream.write(_LENGTH.pack(len(data)))
         self._stream.write(data)
         self._stream.flush()
@@ -77,7 +81,11 @@ class Receiver:
 
     def receive(self) -> Any:
         """The next value. Raises EOFError at the end of the stream."""
-        return _Unpickler(io.BytesIO(self._read(_LENGTH.unpack(self._read(_LENGTH.size))[0])), self._block).load()
+        return self.unpack(self._read(_LENGTH.unpack(self._read(_LENGTH.size))[0]))
+
+    def unpack(self, data: bytes) -> Any:
+        """What was `pack`ed; it imports what the value is made of. In the order in which it was packed."""
+        return _Unpickler(io.BytesIO(data), self._block).load()
 
     def _read(self, size: int) -> bytes:
         data = self._stream.read(size)

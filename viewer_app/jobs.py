@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import logging
-import subprocess
-import sys
 import threading
 import time
 from collections import deque
@@ -12,6 +10,7 @@ from collections.abc import Callable, Hashable
 from contextlib import suppress
 from typing import Any
 
+from . import spare
 from .acting import Action
 from .actions import Say
 from .frames import Receiver, Sender
@@ -19,7 +18,6 @@ from .tasks import Task
 
 GRACE = 0.25
 """How long a task that is wanted no more may take to reach its next yield, seconds; then its process is ended."""
-START = "import sys; sys.path[:] = {path!r}; from viewer_app.worker import main; main()"
 
 
 class Jobs:
@@ -87,8 +85,7 @@ class Lane:
 
     def _start(self) -> None:
         self._generation += 1
-        command = [sys.executable, "-c", START.format(path=sys.path)]
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        self._process = spare.take()
         streams: Any = self._process
         self._sender, receiver = Sender(streams.stdin), Receiver(streams.stdout)
         arguments = (receiver, self._generation)
@@ -118,7 +115,7 @@ class Lane:
         while (task := self._next()) is not None:
             self._number += 1
             try:
-                self._sender.send(("do", self._number, task.call, task.arguments))
+                self._sender.send(("do", self._number, self._sender.pack((task.call, task.arguments))))
             except OSError:  # ended while it had nothing to do
                 self._end()
                 self._start()

@@ -14,6 +14,7 @@ import viser.transforms as tf
 from solvers import Exterior
 from solvers.geometry import to_opencv
 
+from .glb import coloured_mesh
 from .tones import sent
 from .values import (
     Ellipsoid,
@@ -304,10 +305,8 @@ def _change_plane(nodes: list[Any], old: Plane, new: Plane) -> bool:
 
 
 def _add_mesh(scene: viser.SceneApi, path: str, value: Mesh) -> list[Any]:
-    import trimesh
-
-    mesh = trimesh.Trimesh(value.vertices.astype(np.float32), value.faces, vertex_colors=linear(value.colours), process=False)
-    return [scene.add_mesh_trimesh(path, mesh, position=(0.0, 0.0, -value.lower), cast_shadow=False, receive_shadow=False)]
+    mesh = coloured_mesh(value.vertices, value.faces, linear(value.colours))
+    return [scene.add_glb(path, mesh, position=(0.0, 0.0, -value.lower), cast_shadow=False, receive_shadow=False)]
 
 
 def _add_picture(scene: viser.SceneApi, path: str, value: Picture) -> list[Any]:

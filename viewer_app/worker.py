@@ -33,20 +33,21 @@ def main() -> None:
 
 
 class Worker:
-    """messages in: ("do", number, call, arguments), ("stop", number); out: (kind, number, value).
+    """messages in: ("do", number, task), task being call and arguments, packed, and ("stop", number); out: (kind, number, value).
 
-    "compiling" says that from here to the task's next word nothing can stop it, and what for.
+    "compiling" says that from here to the task's next word nothing can stop it, and what for. One thread imports (a task's parts
+    when it begins): two that meet in a package lock each other out.
     """
 
     def __init__(self, source: BinaryIO, out: BinaryIO) -> None:
         self._receiver, self._sender = Receiver(source), Sender(out)
-        self._todo: queue.Queue[tuple[int, Any, tuple[Any, ...]]] = queue.Queue()
+        self._todo: queue.Queue[tuple[int, bytes]] = queue.Queue()
         self._stopped = self._number = -1
         threading.Thread(target=self._listen, daemon=True).start()
 
     def serve(self) -> None:
-        importlib.import_module("solvers.orientation.single")  # what the first task will want
-        importlib.import_module("viewer_app.solving")
+        for name in ("viewer_app.solving_work", "numba", "scipy.linalg", "scipy.special"):  # what the first task will want
+            importlib.import_module(name)
         compiled.tell.append(lambda what: self._sender.send(("compiling", self._number, compiled.compiling(what))))
         self._sender.send(("ready", -1, None))
         while True:
@@ -55,7 +56,7 @@ class Worker:
     def _listen(self) -> None:
         while True:
             try:
-                kind, number, *rest = self._receiver.receive()
+                kind, number, *packed = self._receiver.receive()
             except (EOFError, OSError):
                 os._exit(0)  # the viewer is gone
             except Exception:
@@ -64,11 +65,13 @@ class Worker:
             if kind == "stop":
                 self._stopped = max(self._stopped, number)
             else:
-                self._todo.put((number, *rest))
+                self._todo.put((number, *packed))
 
-    def _do(self, number: int, call: Any, arguments: tuple[Any, ...]) -> None:
+    def _do(self, number: int, packed: bytes) -> None:
         self._number = number
+        call: Any = "that could not be read"
         try:
+            call, arguments = self._receiver.unpack(packed)
             for value in call(*arguments):
                 if number <= self._stopped:
                     break

@@ -47,7 +47,13 @@ def viewed(
             app.emit(Show(name, False))
         with viser_page(app.port, query=f"fixedDpr={1 if drawn else COARSE:g}", size=size, drawn=drawn) as v:
             settle(app, v)
-            v.wait_until(lambda: framed(app, v), "the view beside the panels")
+            try:
+                v.wait_until(lambda: framed(app, v), "the view beside the panels")
+            except TimeoutError as error:
+                eyes, cameras = app._eyes, [c.camera for c in app.server.get_clients().values()]
+                error.add_note(f"{eyes.canvases} {eyes.homes} {[(c.position, c.image_width, c.image_height) for c in cameras]}")
+                error.add_note(str(v.page.evaluate("() => [innerWidth, window.__viserMutable.canvas.outerHTML]")))
+                raise
             yield app, v
 
 
@@ -119,6 +125,8 @@ def camera_arrived(app: App, v: ViserPage) -> bool:
             return [[p.x, p.y, p.z], [m.canvas.width, m.canvas.height]]; }""")
     camera = next(iter(app.server.get_clients().values())).camera
     same_size = np.allclose([camera.image_width, camera.image_height], canvas, atol=1.5)
+    if not same_size:
+        v.page.evaluate("() => window.__viserMutable.sendCamera()")  # a page whose resolution alone changes does not say so
     return bool(np.allclose(here, camera.position, atol=1e-3 * max(1.0, np.abs(here).max())) and same_size)
 
 

@@ -12,9 +12,11 @@ from typing import Any
 
 import pytest
 
+from solvers.adjustment import Trace
 from tests.viewer.sessions import Session, act, camera_path, demo_session, has_pose, settle
 from viewer_app import solving
 from viewer_app.actions import ChooseImage, ChoosePoint, Solve, SwitchPoint, Undo
+from viewer_app.solving_work import request
 from viewer_app.state import Job
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(200)]
@@ -43,13 +45,13 @@ def patient(gate: Path, job: Job) -> Iterator[Any]:
     if job.model != "perspective":
         yield from honest(job)
         return
-    start, seen = prepare(job.block, solving.request(job)), []
+    start, seen = prepare(job.block, request(job)), []
     for row in rows(start):
         seen.append(row)
         yield tuple(seen)
         while int(gate.read_text() or 0) <= len(seen):
             time.sleep(0.005)
-    yield conclude(start, solving.Trace(tuple(seen), start.manifest))
+    yield conclude(start, Trace(tuple(seen), start.manifest))
 
 
 @pytest.fixture(scope="module")

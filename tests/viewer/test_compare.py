@@ -17,7 +17,7 @@ from viewer_app.actions import Plot, Show, Solved, Step, UsePoints, update
 from viewer_app.app import App
 from viewer_app.panels.compare import chosen_group, errors_table, predicted, solutions_table
 from viewer_app.scene import scene
-from viewer_app.solving import request
+from viewer_app.solving_work import request
 from viewer_app.spots import ellipse, ground_of, plotted
 from viewer_app.state import ADVICE, COMPARED, MODELS, ONE_PASS, PRINTED, WITH_PRIOR, State, wanted
 from viewer_app.values import Segments, dashed

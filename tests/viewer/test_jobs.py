@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import signal
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -49,6 +50,21 @@ def die() -> Iterator[int]:
 def degenerate() -> Iterator[int]:
     raise DegenerateGeometry("control points 3, 5, 9 lie on one line")
     yield 1
+
+
+class Reader:
+    """Becomes the name of the thread that reads it."""
+
+    def __reduce__(self) -> Any:
+        return thread, ()
+
+
+def thread() -> str:
+    return threading.current_thread().name
+
+
+def echo(value: Any) -> Iterator[Any]:
+    yield value
 
 
 def wrong() -> Iterator[float]:
@@ -200,6 +216,12 @@ def test_the_process_steps_back_behind_the_viewer(desk: Desk) -> None:
 def test_what_a_library_prints_does_no_harm(desk: Desk) -> None:
     desk.jobs.want((task("noise", noisy),))
     desk.wait(lambda: desk.values() == [7])
+
+
+def test_a_task_is_read_by_the_thread_that_does_it(desk: Desk) -> None:
+    """Reading imports, and two threads that import parts of one package may lock each other out."""
+    desk.jobs.want((task("echo", echo, Reader()),))
+    desk.wait(lambda: desk.values() == [threading.main_thread().name])
 
 
 def test_a_long_task_of_a_tab_does_not_hold_up_the_solver(desk: Desk) -> None:

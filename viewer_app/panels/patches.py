@@ -11,7 +11,7 @@ from solvers.matching import Stepped
 from ..matching_state import Found, Matching
 from ..theme import PERSPECTIVE, RESIDUAL
 from .plots import Curve, plot
-from .widgets import BOX, MUTED, decimals, esc, png, table
+from .widgets import BOX, MUTED, css, decimals, esc, png, table
 
 
 def found_html(m: Matching) -> str:
@@ -27,8 +27,8 @@ def headline(found: Found) -> str:
     who = esc(found.ask.point or "point")
     told = f" <span {MUTED}>predicted by {esc(found.guess.how)}</span>" if found.guess is not None else ""
     if found.ok:
-        return f'<b style="color:#2a9d5c">✓ {who} found in {esc(found.ask.second)}</b>{told}'
-    return f'<b style="color:#d55e00">✗ {who} not found in {esc(found.ask.second)}</b>: {esc(found.why)}.{told}'
+        return f'<b>✓ {who} found in {esc(found.ask.second)}</b>{told}'
+    return f'<b style="color:{css(RESIDUAL)}">✗ {who} not found in {esc(found.ask.second)}</b>: {esc(found.why)}.{told}'
 
 
 def pictures(found: Found, row: int) -> str:

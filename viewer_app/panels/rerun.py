@@ -14,9 +14,10 @@ import viser
 from solvers import PhotogrammetryError
 
 from ..actions import Action, Say
+from ..bridge import is_local
 from ..rerun_shown import shown
 from ..state import MODELS, State
-from .widgets import QUIET, esc
+from .widgets import MUTED, QUIET, esc
 
 
 class RerunPanel:
@@ -99,8 +100,14 @@ class RerunPanel:
         self._html.content = (
             f'<iframe title="rerun" src="{esc(url)}" style="width:100%;height:calc(100vh - 90px);border:0"></iframe>'
             f'<div style="padding:2px 12px;font-size:12px"><a href="{esc(url)}" target="_blank" rel="noreferrer">'
-            "Open in a tab of its own</a></div>"
+            f"Open in a tab of its own</a>{self._elsewhere()}</div>"
         )
+
+    def _elsewhere(self) -> str:
+        """Words for who looks from another machine, where the panel stays empty."""
+        if is_local(self._server.get_host()):
+            return ""
+        return f" <span {MUTED}>Seen only on the machine that serves Collinea; elsewhere save the .rrd in Export.</span>"
 
     def _hide(self) -> None:
         with self._lock:
