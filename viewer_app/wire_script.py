@@ -11,8 +11,11 @@ window.collinea = (() => {
     if (width) send('sizes', [width, height, innerWidth, innerHeight].map(v => Math.min(v / 1e4, 1)));
   };
   addEventListener('resize', sizes);
-  const watch = () => {  // how large the canvas is, whenever that changes
-    if (canvas()?.clientWidth) new ResizeObserver(sizes).observe(canvas());
+  // how large the canvas is: now, and whenever that changes; asked at any moment it may be what nobody ever sees
+  const canvases = new ResizeObserver(sizes);
+  const watch = () => {
+    canvases.disconnect();
+    if (canvas()?.clientWidth) canvases.observe(canvas());
     else setTimeout(watch, 30);
   };
   watch();
@@ -29,7 +32,12 @@ window.collinea = (() => {
     soon = setTimeout(photoSize, 60);
   });
   // the server asks once it knows this browser: what was said before is lost
-  const measure = () => { sizes(); drawn = ''; photoSize(); };
+  const measure = () => {
+    watch();
+    drawn = '';
+    photos.disconnect();
+    if (photo) photos.observe(photo);
+  };
   const seePhoto = () => {
     const now = document.getElementById('collinea-photo');
     if (now === photo) return;
