@@ -148,7 +148,7 @@ class Block:
 
 def _index(names: Sequence[str], name: str, what: str, where: str) -> int:
     try:
-        return list(names).index(name)
+        return names.index(name)
     except ValueError:
         shown = ", ".join(list(names)[:8]) + (" ..." if len(names) > 8 else "")
         raise BadProject(f"{where}: there is no {what} '{name}'; choose one of {shown}") from None

@@ -15,7 +15,7 @@ from .bundle_state import Bundle
 from .kept import by_identity
 from .matching_state import Matching
 from .mosaic_state import Mosaic, in_frame
-from .state import Assets, State, Terrain
+from .state import Assets, State, Terrain, by_role
 from .values import Label, Mesh, Plane, PointCloud, Scene, Segments
 
 
@@ -155,12 +155,6 @@ SMALL, SEEN, CHOSEN = 0.8, 0.88, 1.0
 """Sizes of names: of any point, of one that the chosen image has measured, of the chosen one. The larger keeps its place."""
 
 
-@by_identity(4)
-def _by_role(points: Points) -> dict[str, np.ndarray]:
-    role = np.array(points.role)
-    return {kind: np.flatnonzero(role == kind) for kind in ("control", "check", "tie")}
-
-
 @by_identity(2)
 def _local(assets: Assets, points: Points) -> np.ndarray:
     """Every point in the local frame (n, 3)."""
@@ -184,7 +178,7 @@ def _extent(assets: Assets, points: Points) -> tuple[np.ndarray, np.ndarray] | N
 def _tie_points(assets: Assets, points: Points) -> PointCloud:
     low, high = _extent(assets, points) or (np.zeros(3), np.ones(3))
     size = 0.016 * float((high - low)[:2].max())
-    xyz = _local(assets, points)[_by_role(points)["tie"]]
+    xyz = _local(assets, points)[by_role(points)["tie"]]
     xyz = xyz[np.isfinite(xyz).all(axis=1)]
     return PointCloud(xyz, np.broadcast_to(np.array(theme.INITIAL, np.uint8), (len(xyz), 3)), 0.25 * size)
 
@@ -194,7 +188,7 @@ def points(state: State) -> Scene:
     block, found = state.block, Scene()
     xyz = _local(state.assets, block.points)
     known: np.ndarray = np.asarray(np.isfinite(xyz).all(axis=1))
-    kinds = _by_role(block.points)
+    kinds = by_role(block.points)
     off = [j for j in (*kinds["control"], *kinds["check"]) if block.points.names[j] in state.work.off]
     size = symbol_size(state)
     for name, rows, colour, corners in (
@@ -242,7 +236,7 @@ def _named(assets: Assets, block: Block, image: str, chosen: str | None) -> dict
 def _spread(assets: Assets, points: Points) -> np.ndarray:
     """Control and check points (n,) by number such that the first of them always lie far apart: those that are the first in a
     square of a coarse net, then of nets ever finer."""
-    xyz, kinds = _local(assets, points), _by_role(points)
+    xyz, kinds = _local(assets, points), by_role(points)
     rows = np.concatenate([kinds["control"], kinds["check"]])
     rows = rows[np.isfinite(xyz[rows]).all(axis=1)]
     low, high = _extent(assets, points) or (np.zeros(3), np.ones(3))

@@ -15,7 +15,7 @@ from solvers.block import Image
 from .acting import Action, handles
 from .actions_points import FIELDS
 from .scene import sight
-from .state import MODELS, State, fresh, hopeful, measured
+from .state import MODELS, State, by_role, fresh, hopeful, measured
 
 MOST = 400
 """Rows shown at once; the filter finds the others."""
@@ -175,18 +175,16 @@ def _point_rows(state: State) -> list[Row]:
         found = solution.orientation
         w = dict(zip(found.points, np.abs(np.nan_to_num(found.w)).max(axis=1).tolist(), strict=True))
     rows = []
-    groups = points.group or ("",) * len(points)
-    for name, role, group, xyz, sigma in zip(points.names, points.role, groups, points.xyz, points.sigma, strict=True):
-        if role == "tie":
-            continue
+    for j in by_role(points)["named"].tolist():
+        name = points.names[j]
         values = {
             "on": name not in work.off,
             "name": name,
-            "role": role,
-            "group": group,
+            "role": points.role[j],
+            "group": points.group[j] if points.group else "",
             "v": residuals.get(name, math.nan),
             "w": w.get(name, math.nan),
-            **dict(zip(FIELDS, (*xyz.tolist(), *sigma.tolist()), strict=True)),
+            **dict(zip(FIELDS, (*points.xyz[j].tolist(), *points.sigma[j].tolist()), strict=True)),
         }
         rows.append(Row(name, values, name == state.point))
     return rows

@@ -8,7 +8,7 @@ from .acting import Action, handles, update
 from .actions import ChoosePoint
 from .photo_view import around, window
 from .sighting import adjusted, sees, where
-from .state import State
+from .state import State, by_role
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ def missing(state: State) -> tuple[str, ...]:
     """Control and check points not measured in the chosen photo, from the one after the chosen point on."""
     points = state.block.points
     seen = set(state.block.observations.point[state.block.seen_in(state.image)].tolist())
-    left = [j for j, role in enumerate(points.role) if role in ("control", "check") and j not in seen]
+    left = [j for j in by_role(points)["named"].tolist() if j not in seen]
     after = state.block.point_index(state.point) if state.point is not None else -1
     return tuple(points.names[j] for j in sorted(left, key=lambda j: (j <= after, j)))
 

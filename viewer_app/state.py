@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
@@ -12,6 +12,7 @@ import numpy as np
 
 from solvers import Block, Exterior
 from solvers.adjustment import Iteration
+from solvers.block import ROLES, Points
 from solvers.geometry import LocalFrame, Surface
 from solvers.orientation import Advice, Orientation
 
@@ -233,7 +234,16 @@ class State:
     def control(self) -> tuple[str, ...]:
         """Names of the control points that are switched on."""
         points = self.block.points
-        return tuple(n for n, r in zip(points.names, points.role, strict=True) if r == "control" and n not in self.work.off)
+        names = (points.names[j] for j in by_role(points)["control"])
+        return tuple(n for n in names if n not in self.work.off)
+
+
+@by_identity(4)
+def by_role(points: Points) -> dict[str, np.ndarray]:
+    """Rows of the points of each role; "named": of control and check points together, in their order."""
+    role = np.array(points.role, str)
+    rows = {kind: np.flatnonzero(role == kind) for kind in ROLES}
+    return {**rows, "named": np.flatnonzero(role != "tie")}
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,10 +287,11 @@ def _todo(state: State) -> Iterator[tuple[str, str]]:
     if counts.get(state.image):
         for model in (*MODELS, *prior_models(state.block, state.image), ADVICE):
             yield state.image, model
+    able = _able(state.work)
     for image, count in counts.items():
         if count and image != state.image:
             for model in MODELS:
-                if hopeful(state.work, image) or (image, model) in state.work.solutions:
+                if image in able or (image, model) in state.work.solutions:
                     yield image, model
 
 
@@ -290,12 +301,17 @@ FEW = 100
 
 def hopeful(work: Work, image: str) -> bool:
     """Whether an image sees the three control points without which nothing can be solved; of few images, all are."""
-    return len(work.block.images) <= FEW or image in _hopeful(work.block, work.off)
+    return image in _able(work)
+
+
+def _able(work: Work) -> Container[str]:
+    return measured(work.block) if len(work.block.images) <= FEW else _hopeful(work.block, work.off)
 
 
 @by_identity(4)
 def _hopeful(block: Block, off: frozenset[str]) -> frozenset[str]:
-    on = np.array([r == "control" and n not in off for n, r in zip(block.points.names, block.points.role, strict=True)], bool)
+    on = np.zeros(len(block.points), bool)
+    on[[j for j in by_role(block.points)["control"].tolist() if block.points.names[j] not in off]] = True
     of = block.observations
     counts = np.bincount(of.image[on[of.point]], minlength=len(block.images)).tolist()
     return frozenset(image.name for image, count in zip(block.images, counts, strict=True) if count >= 3)

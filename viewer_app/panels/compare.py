@@ -6,7 +6,7 @@ import numpy as np
 
 from ..actions import Show, UseOnly, UsePoints
 from ..scene import COLOURS, sight
-from ..state import ADVICE, COMPARED, ONE_PASS, WITH_PRIOR, State, measured
+from ..state import ADVICE, COMPARED, ONE_PASS, WITH_PRIOR, State, by_role, measured
 from ..tabs import Desk, Tab
 from .tables import KEYS, orientation_values
 from .widgets import BOX, MUTED, Html, bind, decimals, esc, prop, put, swatch, table
@@ -38,7 +38,9 @@ class ComparePanel:
         self._table = Html(gui)
 
     def draw(self, state: State) -> None:
-        groups = tuple(dict.fromkeys(g for g in state.block.points.group if g))
+        points = state.block.points
+        named = by_role(points)["named"].tolist() if points.group else ()
+        groups = tuple(dict.fromkeys(points.group[j] for j in named if points.group[j]))
         prop(self._cluster, "options", (EVERY, SOME, *groups))
         put(self._cluster, chosen_group(state))
         put(self._shown, state.view.compared)
@@ -48,8 +50,7 @@ class ComparePanel:
 def chosen_group(state: State) -> str:
     """What the points that are on amount to: all, one group by name, or an own choice."""
     points, on = state.block.points, set(state.control())
-    control = [(n, g) for n, r, g in zip(points.names, points.role, points.group or ("",) * len(points), strict=True)
-               if r == "control"]
+    control = [(points.names[j], points.group[j] if points.group else "") for j in by_role(points)["control"].tolist()]
     if len(on) == len(control):
         return EVERY
     groups = {g for n, g in control if n in on}

@@ -18,7 +18,7 @@ from ..actions_points import EditPoint, SwitchRole
 from ..bridge import Wire
 from ..flying import Fly
 from ..lists import COLUMNS, MOST, Column, Row, ShowRows, SortBy, Tables, as_csv, rows_of
-from ..state import Photo, State
+from ..state import Photo, State, by_role
 from ..tabs import Command, Desk, Tab
 from ..theme import CHECK, CONTROL, INITIAL, RESIDUAL
 from .widgets import BOX, MUTED, QUIET, RIM, Html, bind, css, decimals, esc, more, put, swatch
@@ -45,7 +45,7 @@ class PointsPanel:
 
     def draw(self, state: State) -> None:
         put(self._filter, state.room(Tables).shown)
-        on, control = len(state.control()), state.block.points.role.count("control")
+        on, control = len(state.control()), len(by_role(state.block.points)["control"])
         head = f"<div><b>{on} of {control} control points on</b></div>"
         hint = (
             "click: ☑ on or off · name flies there · role changes it · headings sort · numbers are metres, "

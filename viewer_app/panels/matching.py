@@ -26,7 +26,7 @@ from ..matching_scene import RAYS, SCALE, largest, scene
 from ..matching_state import COLOURS, Matching
 from ..matching_tasks import tasks
 from ..pyramid import Pyramid
-from ..state import State
+from ..state import State, by_role
 from ..tabs import Command, Desk, Tab
 from .pair import SCRIPT, Panes
 from .patches import found_html, headline
@@ -136,8 +136,9 @@ class MatchingPanel:
         prop(self._row, "visible", m.last_row > 0)
         prop(self._row, "max", max(m.last_row, 1))
         put(self._row, min(m.row, m.last_row))
-        roles = zip(state.block.points.names, state.block.points.role, strict=True)
-        options = (NEW, *(name for name, role in roles if role != "tie" or name == m.point))
+        points = state.block.points
+        named = [points.names[j] for j in by_role(points)["named"]]
+        options = (NEW, *named, *((m.point,) if m.point and m.point not in named else ()))
         prop(self._point, "options", options)
         put(self._point, m.point if m.point in options else NEW)
         for handle, value in (
@@ -192,7 +193,7 @@ def proposals_html(m: Matching, wire: Any) -> str:
 
 def legend_html(state: State, m: Matching) -> str:
     """What the colours of the tie points mean, and how the long work goes."""
-    ties = sum(r == "tie" for r in state.block.points.role)
+    ties = len(by_role(state.block.points)["tie"])
     parts = [f"<div>{esc(m.progress)}</div>"] if m.progress else []
     if ties and m.colour == "number of rays":
         parts.append(

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..bridge import Wire
 from ..scene import CHI_95, Sight, sight
-from ..state import ADVICE, MODELS, State, fresh, measured, wanted
+from ..state import ADVICE, MODELS, State, by_role, fresh, measured, wanted
 from ..theme import CHECK, CONTROL, INITIAL
 from ..theme import MODELS as COLOURS
 from .widgets import BOX, MUTED, decimals, esc, swatch, table
@@ -190,9 +190,8 @@ def point_table(state: State, wire: Wire) -> str:
     """Every control and check point: on or off, its residuals in the chosen image by both models. A row switches its point."""
     seen = [_residuals(sight(state, model)) for model in MODELS]
     points, rows = state.block.points, []
-    for name, role, group in zip(points.names, points.role, points.group or ("",) * len(points), strict=True):
-        if role == "tie":
-            continue
+    for j in by_role(points)["named"].tolist():
+        name, role, group = points.names[j], points.role[j], points.group[j] if points.group else ""
         off = name in state.work.off
         mark = swatch(INITIAL if off else CONTROL if role == "control" else CHECK)
         weight = "font-weight:600;" if name == state.point else ""
