@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
+import viser
 from viser import transforms as tf
 
 from benchmarks.viewer import many_cameras
 from solvers.io import write_project
+from solvers.legend import CONTROL, INITIAL, css
 from solvers.simulation import large_block
+from tests.viewer.test_security import pages
+from viewer_app.actions import ChoosePoint
+from viewer_app.app import App
+from viewer_app.bridge import controls
 from viewer_app.export import glb
 from viewer_app.lists import MOST, rows_of
 from viewer_app.loading import open_project
 from viewer_app.paint_viser import _frusta_poses, _quaternions, frustum_pose
+from viewer_app.panels.pair import MOST as PAIR_MOST
 from viewer_app.scene import MANY
 from viewer_app.state import AHEAD, MODELS, Solution, State, control_seen, measured, wanted
 from viewer_app.tabs import whole_scene
@@ -117,3 +126,20 @@ def test_many_cameras_are_exported() -> None:
     state = many_cameras(MANY + 5)
     loaded: Any = trimesh.load(io.BytesIO(glb(whole_scene(state))), file_type="glb")
     assert "/images/perspective" in loaded.graph.nodes
+
+
+def test_many_tie_points_are_in_no_list_and_few_on_a_photo(tmp_path: Path) -> None:
+    write_project(large_block(0, images=12, points=1500).block, tmp_path)
+    state = open_project(tmp_path)
+    image, tie = max(measured(state.block).items(), key=lambda found: found[1])[0], state.block.points.names[-1]
+    with App(replace(state, image=image)) as app:
+        while not app.settled():
+            time.sleep(0.01)
+        app.emit(ChoosePoint(tie))
+        app._actions.join()
+        offered = [tuple(h.options) for h in controls(app.server.gui) if isinstance(h, viser.GuiDropdownHandle)]
+        html = [page for page in pages(app.server.gui) if "collinea-photo" in page]
+    assert sum(map(len, offered)) < 500 and any(tie in options for options in offered)
+    grey = f'stroke="{css(INITIAL)}"'
+    assert measured(state.block)[image] > 1000 and len(html) == 1 and 100 < html[0].count(grey) <= PAIR_MOST
+    assert html[0].count(f'stroke="{css(CONTROL)}"') == len(control_seen(state.block, image))

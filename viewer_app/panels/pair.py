@@ -22,7 +22,7 @@ ACROSS = 640
 AROUND = 0.25
 """What is sent beyond the pane's edges, in pane widths: dragging shows it before more comes."""
 MOST = 500
-"""Points drawn in one pane at most, evenly chosen."""
+"""Tie points drawn in one pane at most, evenly chosen."""
 
 
 class Panes:
@@ -126,7 +126,7 @@ def pane_html(state: State, m: Matching, side: str, look: Look, piece: Piece | N
 def points_svg(state: State, m: Matching, image: str, look: Look) -> str:
     """The points measured in a photo, as far as they are in view: ties by rays or residual, others in their colours."""
     block, colours = state.block, tie_colours(state)
-    rows, unit = _in_view(block, image, *view_box(look)), look.across / 400
+    rows, unit = in_view(block, image, *view_box(look)), look.across / 400
     shapes = []
     for r in rows:
         j = int(block.observations.point[r])
@@ -150,17 +150,16 @@ def ring(col: float, row: float, radius: float, colour: Colour, width: float, na
 
 
 @by_identity(8)
-def _in_view(block: Block, image: str, x: float, y: float, w: float, h: float) -> tuple[int, ...]:
-    """Rows of the observations of a photo within a box, evenly thinned where there are very many."""
+def in_view(block: Block, image: str, x: float, y: float, w: float, h: float) -> tuple[int, ...]:
+    """Rows of the observations of a photo within a box; of very many tie points some, evenly chosen."""
     of = block.observations
-    place = of.pixel + 0.5
-    seen = np.flatnonzero(
-        (of.image == block.image_index(image)) & (place >= [x, y]).all(axis=1) & (place <= [x + w, y + h]).all(axis=1)
-    )
+    rows = np.flatnonzero(of.image == block.image_index(image))
+    place = of.pixel[rows] + 0.5
+    seen = rows[(place >= [x, y]).all(axis=1) & (place <= [x + w, y + h]).all(axis=1)]
     if len(seen) > MOST:
         role = np.array([block.points.role[j] == "tie" for j in of.point[seen]], bool)
         ties = seen[role]
-        seen = np.concatenate([seen[~role][:MOST], ties[np.linspace(0, len(ties) - 1, MOST).astype(int)]])
+        seen = np.concatenate([seen[~role], ties[np.linspace(0, len(ties) - 1, min(MOST, len(ties))).astype(int)]])
     return tuple(int(r) for r in seen)
 
 

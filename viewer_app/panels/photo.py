@@ -35,6 +35,7 @@ from ..state import MODELS, Photo, State, Work
 from ..tabs import Command, Desk, Tab
 from ..theme import CHECK, CONTROL, INITIAL, RESIDUAL
 from ..widths import picture_height
+from .pair import in_view
 from .widgets import BOX, MUTED, QUIET, Html, bind, css, decimals, esc, jpeg, prop, put, swatch, table
 
 CLICKS = {"measures the point": "measure", "gives ground coordinates": "monoplot"}
@@ -131,7 +132,8 @@ def photo_html(state: State, wire: Wire) -> str:
     shown = window(state)
     unit = shown.width / state.room(PhotoView).pane
     scale = 0.0 if seen is None else _scale(state, seen)
-    shapes = _observations(state.work, state.image, state.point, unit) + ("" if seen is None else _residuals(seen, scale, unit))
+    shapes = _observations(state.work, state.image, state.point, unit, (shown.left, shown.top, shown.width, shown.height))
+    shapes += "" if seen is None else _residuals(seen, scale, unit)
     if state.mark is not None:
         x, y, r = state.mark.col + 0.5, state.mark.row + 0.5, 9 * unit
         shapes += (
@@ -198,13 +200,14 @@ def _places(state: State, unit: float) -> str:
 
 
 @lru_cache(maxsize=8)
-def _observations(work: Work, image: str, point: str | None, unit: float) -> str:
+def _observations(work: Work, image: str, point: str | None, unit: float, box: tuple[float, float, float, float]) -> str:
+    """Control and check points in their colours, tie points smaller and grey, of very many some, as far as they are in view."""
     block, shapes = work.block, []
-    for r in block.seen_in(image):
+    for r in in_view(block, image, *box):
         j = block.observations.point[r]
-        name, (col, row) = block.points.names[j], block.observations.pixel[r]
-        colour = css(INITIAL if name in work.off else CONTROL if block.points.role[j] == "control" else CHECK)
-        size = (6.5 if name == point else 3.5) * unit
+        name, (col, row), role = block.points.names[j], block.observations.pixel[r], block.points.role[j]
+        colour = css(INITIAL if name in work.off or role == "tie" else CONTROL if role == "control" else CHECK)
+        size = (6.5 if name == point else 2.5 if role == "tie" else 3.5) * unit
         at = f'cx="{col + 0.5:.2f}" cy="{row + 0.5:.2f}" r="{size:.2f}" fill="none"'
         shapes.append(
             f'<circle {at} stroke="#000" stroke-opacity=".6" stroke-width="{3 * unit:.2f}"/>'  # seen on any ground
