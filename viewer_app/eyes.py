@@ -84,6 +84,7 @@ class Eyes:
         self.canvases: dict[int, tuple[float, float]] = {}
         self.homes: dict[int, list[np.ndarray]] = {}
         self._framed: dict[int, tuple[float, float]] = {}  # for which canvas
+        self._taken: set[int] = set()  # browsers that have begun where they were told to
         self._viewed = 0.0
         self._before: dict[int, Look] = {}
         self._home: tuple[np.ndarray, np.ndarray, float] | None = None
@@ -174,14 +175,14 @@ class Eyes:
             if look is None:
                 return
             if self._unmoved(number, look.position):
+                self._taken.add(number)
                 if self._framed.get(number) != self.canvases.get(number):
                     self._put(lambda: self.frame(client))
                 return
-            here = *look.position, *look.at
-            if number not in self.homes and self.view and np.allclose(here, self.view, rtol=1e-3, atol=1e-3):
-                self.homes[number] = [np.array(self.view[:3])]  # it looks as the last one did
-            elif number in self.homes:
+            if number in self._taken:
                 self._looked(number, look)
+            elif self.view and np.allclose((*look.position, *look.at), self.view, rtol=1e-3, atol=1e-3):
+                self._taken.add(number)  # it looks as the last one did
 
         client.camera.on_update(looks)
         self._put(lambda: self.frame(client))
@@ -190,7 +191,10 @@ class Eyes:
         """Keep from where somebody looks, but not through which photo."""
         if looked_through(self._state()) or number in self._before:
             return
-        self.view = tuple(map(float, (*look.position, *look.at)))
+        here = tuple(map(float, (*look.position, *look.at)))
+        if self.view and np.allclose(here, self.view, rtol=1e-6, atol=1e-3):
+            return  # a page says where it is when its size changes too
+        self.view = here
         if time.monotonic() - self._viewed > 0.5:
             self._viewed = time.monotonic()
             self._changed()
@@ -198,6 +202,7 @@ class Eyes:
     def left(self, number: int) -> None:
         for known in (self.canvases, self.homes, self._framed, self._before):
             known.pop(number, None)
+        self._taken.discard(number)
 
     # -- flights
 
