@@ -5,6 +5,7 @@ Where the version is another one, `Wire.works` is False and tables are plain tex
 
 from __future__ import annotations
 
+import asyncio
 import html
 import json
 import logging
@@ -13,7 +14,7 @@ import secrets
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from http import HTTPStatus
 from typing import Any
 from urllib.parse import quote, unquote_to_bytes
@@ -65,6 +66,7 @@ def open_server(host: str = "127.0.0.1", port: int = 0, token: str | None = None
         return Server(host=host, port=port, verbose=False)
     hosts = None if remote else LOCAL_HOSTS
     _hush()
+    _wake()
     with _guarded(token, hosts):
         return Server(host=host, port=port, verbose=False)
 
@@ -84,6 +86,32 @@ def _hush() -> None:
             real(*said, **how)
 
     rich.print = without_viser
+
+
+class _Told(asyncio.Event):
+    """An event that only its own loop sets. viser sets its own from any thread as well, before it lets the loop do so: between a
+    waiter's look and its wait that is heard by nobody, and the page never gets another message."""
+
+    def set(self) -> None:
+        with suppress(RuntimeError):  # another thread: the loop is about to be told
+            asyncio.get_running_loop()
+            super().set()
+
+
+def _wake() -> None:
+    """Every buffer of messages made from now on wakes who waits for it."""
+    import viser.infra._infra as infra
+
+    library: Any = infra
+    if library.AsyncMessageBuffer.__name__ == "Buffer":
+        return
+
+    class Buffer(library.AsyncMessageBuffer):
+        def __init__(self, *args: Any, **kwargs: Any) -> None:
+            super().__init__(*args, **kwargs)
+            self.message_event = _Told()
+
+    library.AsyncMessageBuffer = Buffer
 
 
 @contextmanager

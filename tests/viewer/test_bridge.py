@@ -5,15 +5,18 @@ from __future__ import annotations
 import asyncio
 import json
 import socket as socketlib
+import threading
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from http import HTTPStatus
+from typing import Any
 
 import numpy as np
 import pytest
 import viser
 import websockets
+from viser._messages import RunJavascriptMessage
 from websockets.asyncio.client import connect
 
 from solvers import Unsupported
@@ -190,3 +193,25 @@ def test_ten_thousand_mutated_messages_leave_the_state_valid() -> None:
 def test_a_server_that_stops_says_nothing_on_standard_output(capfd: pytest.CaptureFixture[str]) -> None:
     open_server().stop()
     assert capfd.readouterr().out == ""
+
+
+def test_a_message_pushed_while_a_connection_goes_to_sleep_wakes_it(plain: viser.ViserServer) -> None:
+    """Another thread pushes between the look whether there is anything and the wait for it."""
+    inner: Any = plain
+    kind = type(inner._websock_server._broadcast_buffer)
+
+    async def first() -> Any:
+        buffer = kind(asyncio.get_running_loop(), persistent_messages=False)
+        event, real = buffer.message_event, buffer.message_event._get_loop
+
+        def late() -> Any:
+            pushing = threading.Thread(target=buffer.push, args=(RunJavascriptMessage(source="1"),))
+            pushing.start()
+            pushing.join()
+            return real()
+
+        event._get_loop = late
+        windows = buffer.window_generator(0)
+        return await asyncio.wait_for(anext(windows), 5)
+
+    assert len(asyncio.run(first())) == 1
