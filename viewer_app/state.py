@@ -246,6 +246,12 @@ def by_role(points: Points) -> dict[str, np.ndarray]:
     return {**rows, "named": np.flatnonzero(role != "tie")}
 
 
+def listed(points: Points, chosen: str | None) -> tuple[str, ...]:
+    """Names to choose from: control and check points, and the chosen one; of tie points there may be a million."""
+    named = tuple(points.names[j] for j in by_role(points)["named"].tolist())
+    return named if not chosen or chosen in named else (*named, chosen)
+
+
 @dataclass(frozen=True, eq=False)
 class Job:
     """One image to be oriented by one model, or to be advised on."""

@@ -26,7 +26,7 @@ from ..matching_scene import RAYS, SCALE, largest, scene
 from ..matching_state import COLOURS, Matching
 from ..matching_tasks import tasks
 from ..pyramid import Pyramid
-from ..state import State, by_role
+from ..state import State, by_role, listed
 from ..tabs import Command, Desk, Tab
 from .pair import SCRIPT, Panes
 from .patches import found_html, headline
@@ -136,9 +136,7 @@ class MatchingPanel:
         prop(self._row, "visible", m.last_row > 0)
         prop(self._row, "max", max(m.last_row, 1))
         put(self._row, min(m.row, m.last_row))
-        points = state.block.points
-        named = [points.names[j] for j in by_role(points)["named"]]
-        options = (NEW, *named, *((m.point,) if m.point and m.point not in named else ()))
+        options = (NEW, *listed(state.block.points, m.point))
         prop(self._point, "options", options)
         put(self._point, m.point if m.point in options else NEW)
         for handle, value in (

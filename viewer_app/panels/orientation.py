@@ -10,7 +10,7 @@ from ..actions import Action, Cancel, ChooseImage, ChoosePoint, Redo, Set, Solve
 from ..actions_points import SwitchRole
 from ..flying import Fly
 from ..looking import looked_through
-from ..state import FORMS, PRIORS, State, by_role
+from ..state import FORMS, PRIORS, State, listed
 from ..tabs import Command, Desk, Tab
 from .tables import orientation_table, point_in_images, point_table, words
 from .widgets import QUIET, Emit, Html, bind, prop, put
@@ -48,7 +48,7 @@ class OrientationPanel:
         self._table = Html(gui)
         self._words = Html(gui)
         self._points = Html(gui)
-        self._point = gui.add_dropdown("Point", _points(state), hint="Chosen point, ringed in the scene and on the photo.")
+        self._point = gui.add_dropdown("Point", ("none",), hint="Chosen point, ringed in the scene and on the photo.")
         bind(self._point, emit, lambda value: ChoosePoint(None if value == "none" else value))
         self._switch = gui.add_button(
             "Switch point on or off",
@@ -104,7 +104,7 @@ class OrientationPanel:
         options = (EVERY, *groups, SOME)
         prop(self._group, "options", options)
         put(self._group, chosen_group(state))
-        prop(self._point, "options", _points(state))
+        prop(self._point, "options", ("none", *listed(state.block.points, state.point)))
         put(self._point, state.point or "none")
         for handle in (self._switch, self._role):
             prop(handle, "disabled", state.point is None)
@@ -127,13 +127,6 @@ def chosen_group(state: State) -> str:
         if group and off == {n for n, g in zip(points.names, points.group, strict=True) if g != group}:
             return group
     return SOME
-
-
-def _points(state: State) -> tuple[str, ...]:
-    """Control and check points, and the chosen point: of tie points there may be a million."""
-    points, chosen = state.block.points, state.point
-    named = tuple(points.names[j] for j in by_role(points)["named"].tolist())
-    return ("none", *named, *((chosen,) if chosen is not None and chosen not in named else ()))
 
 
 def _names(state: State) -> tuple[str, ...]:
