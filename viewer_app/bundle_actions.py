@@ -10,7 +10,7 @@ from solvers.cameras import PARAMETERS
 
 from .acting import Action, follow, handles, undone
 from .bundle_state import Bundle, Held, allowed, asked_of, taking_part
-from .bundle_values import Ended, Judged, Kept, Layout
+from .bundle_values import Ended, Judged, Kept, Layout, stopped_at
 from .state import State
 
 
@@ -52,9 +52,10 @@ class FollowBundle(Action):
 
 @dataclass(frozen=True)
 class RunBundle(Action):
-    """Adjust; with `on` go on from the row shown."""
+    """Adjust; with `on` go on from the row shown. upto: row to stop at, None for the end."""
 
     on: bool = False
+    upto: int | None = None
 
 
 @dataclass(frozen=True)
@@ -168,7 +169,8 @@ def _run(state: State, action: RunBundle) -> State:
     else:
         base = min(state.row, len(room.rows) - 1)
         room = replace(room, base=base, rows=room.rows[: base + 1])
-    room = replace(room, task="run", serial=room.serial + 1, result=None, progress="Looking for a start …", error="", run="")
+    room = replace(room, task="run", serial=room.serial + 1, result=None, progress="Looking for a start …", error="", run="",
+                   upto=action.upto)
     return follow(replace(state, follow=True, playing=False).with_room(room))
 
 
@@ -177,7 +179,7 @@ def _stop(state: State, action: StopBundle) -> State:
     room = state.room(Bundle)
     if not room.task:
         return state
-    said = f"Stopped; row {room.steps} is kept, without standard errors." if room.rows else "Stopped before the first row."
+    said = stopped_at(room.steps) if room.rows else "Stopped before the first row."
     return state.with_room(replace(room, task="", progress=said if room.task != "keep" else "", then_open=False))
 
 

@@ -41,7 +41,8 @@ class Held:
 class Bundle:
     """What to adjust, and what came of it. per_image: of `free`, what every image has for itself; images: names or patterns of
     those that take part, nothing for all; held: another bundle to compare with. task: "run", "keep", "follow" or nothing;
-    serial: number of the run; base: row from which it goes on; block: as it was adjusted. vectors, ellipsoid: exaggerations,
+    serial: number of the run; base: row from which it goes on; upto: row it is to stop at, None for the end; block: as it was
+    adjusted. vectors, ellipsoid: exaggerations,
     0 to fit; alone: drawn in place of the images oriented one by one. run: where it was kept; opened: how often rerun was asked
     for."""
 
@@ -58,6 +59,7 @@ class Bundle:
     task: str = ""
     serial: int = 0
     base: int = 0
+    upto: int | None = None
     rows: tuple[Iteration, ...] = ()
     layout: Layout | None = None
     block: Block | None = None

@@ -43,7 +43,7 @@ def tasks(state: State) -> tuple[Task, ...]:
     begun = None
     if room.layout is not None and len(room.rows) == room.base + 1:  # it goes on from there
         begun = room.layout.manifest, room.rows[0].x, room.rows[-1].x
-    wanted = block, options, state.assets.frame, begun
+    wanted = block, options, state.assets.frame, begun, room.upto
     return (Task(("bundle", serial), bundle_work, wanted, came, failed, "the bundle", "bundle"),)
 
 

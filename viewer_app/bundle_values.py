@@ -117,3 +117,8 @@ class Ended:
     """There is nothing more to come."""
 
     said: str
+
+
+def stopped_at(row: int) -> str:
+    """What is said of a bundle that somebody stopped."""
+    return f"Stopped; row {row} is kept, without standard errors."

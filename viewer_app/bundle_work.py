@@ -15,7 +15,7 @@ from solvers import Block, DegenerateGeometry
 from solvers.adjustment import Iteration, Trace, iterate, thin
 from solvers.geometry import LocalFrame
 
-from .bundle_values import Ended, Judged, Kept, Layout, layout_of
+from .bundle_values import Ended, Judged, Kept, Layout, layout_of, stopped_at
 from .rerun_shown import EVERYTHING, Shown
 
 SILENT = "stopped"
@@ -35,10 +35,11 @@ LAST = _Last()
 
 
 def bundle_work(block: Block, options: dict[str, Any], frame: LocalFrame,
-                begun: tuple[Mapping[str, Any], np.ndarray, np.ndarray] | None = None
-                ) -> Iterator[str | Layout | Iteration | Judged]:
+                begun: tuple[Mapping[str, Any], np.ndarray, np.ndarray] | None = None, upto: int | None = None
+                ) -> Iterator[str | Layout | Iteration | Judged | Ended]:
     """Words, how rows are read, every row (thin while others follow), and what the last one is worth. options: of a
-    `BundleRequest`; begun: manifest, x of the first row and of that to go on from.
+    `BundleRequest`; begun: manifest, x of the first row and of that to go on from; upto: row to stop at, of which nothing is
+    worked out.
 
     Raises PhotogrammetryError.
     """
@@ -54,6 +55,9 @@ def bundle_work(block: Block, options: dict[str, Any], frame: LocalFrame,
                 rows[-1] = thin(rows[-1])
             rows.append(row)
             yield row if row.stop else thin(row)
+            if row.index == upto and not row.stop:
+                yield Ended(stopped_at(row.index))
+                return
             if row.index and not row.stop:
                 each = (time.monotonic() - began) / row.index
                 left = each * (start.options.max_iterations - row.index)

@@ -23,7 +23,7 @@ from solvers.orientation.result import Orientation
 from . import theme
 from .ground import nice
 from .replay import ELEMENTS, Replay
-from .rerun_layout import blueprint, part
+from .rerun_layout import APPLICATION, as_bytes, blueprint, part
 from .rerun_server import open_log, serve
 from .rerun_shown import EVERYTHING, Shown
 from .rerun_values import about, drawn, pinhole, pose, sentence, shade
@@ -31,7 +31,7 @@ from .rerun_values import about, drawn, pinhole, pose, sentence, shade
 if TYPE_CHECKING:
     import rerun as rr
 
-__all__ = ["TIMELINE", "open_log", "record", "serve"]
+__all__ = ["TIMELINE", "layout", "open_log", "record", "serve"]
 
 TIMELINE = "iteration"
 LOGARITHMIC = ("cost", "sigma0", "step")
@@ -55,13 +55,10 @@ def record(path: str | Path, block: Block, orientations: Sequence[Orientation], 
     import rerun as rr
 
     path = Path(path)
-    frame = LocalFrame.around(block.points.xyz, block.crs, block.frame)
-    replays = [Replay.of(o.trace, block, frame) for o in orientations]
-    site = frame.to_local(block.points.xyz)
-    site = site[np.isfinite(site).all(axis=1)]
+    frame, replays, site = _told(block, orientations)
     unfinished = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        stream = rr.RecordingStream("collinea", recording_id=_identity(block, replays), send_properties=False)
+        stream = rr.RecordingStream(APPLICATION, recording_id=_identity(block, replays), send_properties=False)
         stream.set_log_time_enabled(False)
         stream.set_log_tick_enabled(False)
         stream.save(unfinished, default_blueprint=blueprint(replays, site, shown))
@@ -77,6 +74,19 @@ def record(path: str | Path, block: Block, orientations: Sequence[Orientation], 
         os.replace(unfinished, path)
     finally:
         unfinished.unlink(missing_ok=True)
+
+
+def layout(block: Block, orientations: Sequence[Orientation], shown: Shown) -> bytes:
+    """How that recording is laid out from now on, for a page that has it open (`Served.lay_out`)."""
+    _, replays, site = _told(block, orientations)
+    return as_bytes(blueprint(replays, site, shown))
+
+
+def _told(block: Block, orientations: Sequence[Orientation]) -> tuple[LocalFrame, list[Replay], np.ndarray]:
+    """The frame, the runs in it, and where the known points are (n, 3) m."""
+    frame = LocalFrame.around(block.points.xyz, block.crs, block.frame)
+    site = frame.to_local(block.points.xyz)
+    return frame, [Replay.of(o.trace, block, frame) for o in orientations], site[np.isfinite(site).all(axis=1)]
 
 
 class _Painter:
@@ -112,13 +122,13 @@ class _Painter:
         import rerun as rr
 
         points = self.block.points
-        xyz, role, hidden = self.frame.to_local(points.xyz), np.array(points.role), self.shown.hidden
+        xyz, role = self.frame.to_local(points.xyz), np.array(points.role)
         for kind, colour in (("control", theme.CONTROL), ("check", theme.CHECK)):
             rows = np.flatnonzero((role == kind) & np.isfinite(xyz).all(axis=1))
             if len(rows):
                 labels = [points.names[j] for j in rows]
                 self._static(f"/points/{kind}", rr.Points3D(xyz[rows], colors=colour, radii=rr.Radius.ui_points(4), labels=labels,
-                                                            show_labels=len(rows) <= NAMED and "labels" not in hidden))
+                                                            show_labels=len(rows) <= NAMED))
 
     def _photo(self, name: str, models: list[str], photo: np.ndarray | None) -> None:
         """The photo under its measurements, in pixels of the full format, and in the image planes of its cameras."""

@@ -22,7 +22,7 @@ from solvers.geometry import LocalFrame
 
 from . import theme
 from .ground import nice
-from .rerun_layout import hide
+from .rerun_layout import APPLICATION, as_bytes, hide, part, unnamed
 from .rerun_shown import BUNDLE, EVERYTHING, Shown
 from .rerun_values import about
 from .scene import CHI_95
@@ -48,13 +48,12 @@ def record_bundle(path: str | Path, block: Block, adjusted: Adjusted, shown: Sho
     unfinished = path.with_name(f".{path.name}.{os.getpid()}")
     digest = hashlib.sha256(block.name.encode() + np.ascontiguousarray(trace.last.x).tobytes()).hexdigest()[:32]
     try:
-        stream = rr.RecordingStream("collinea", recording_id=digest, send_properties=False)
+        stream = rr.RecordingStream(APPLICATION, recording_id=digest, send_properties=False)
         stream.set_log_time_enabled(False)
         stream.set_log_tick_enabled(False)
         scene = _Scene(stream, block, trace.manifest, trace.last.x)
         if adjusted.orientations:
-            worst = max(adjusted.orientations, key=lambda o: o.rms_px).image
-            scene.worst = f"/photos/{rr.escape_entity_path_part(worst)}/**"
+            scene.look_at(max(adjusted.orientations, key=lambda o: o.rms_px).image)
         stream.save(unfinished, default_blueprint=scene.blueprint(shown))
         with stream:
             stream.send_recording_name(block.name)
@@ -67,6 +66,15 @@ def record_bundle(path: str | Path, block: Block, adjusted: Adjusted, shown: Sho
         os.replace(unfinished, path)
     finally:
         unfinished.unlink(missing_ok=True)
+
+
+def bundle_layout(block: Block, manifest: Mapping[str, Any], x: np.ndarray, worst: str, shown: Shown) -> bytes:
+    """How that recording is laid out from now on, for a page that has it open (`Served.lay_out`). x: of its last row; worst: the
+    image whose residuals are shown, "" where there are none."""
+    scene = _Scene(None, block, manifest, x)
+    if worst:
+        scene.look_at(worst)
+    return as_bytes(scene.blueprint(shown))
 
 
 def _quaternions(m: np.ndarray) -> np.ndarray:
@@ -82,7 +90,7 @@ class Live:
     def __init__(self, path: str | Path, block: Block, manifest: Mapping[str, Any], x0: np.ndarray) -> None:
         import rerun as rr
 
-        self._stream = rr.RecordingStream("collinea", recording_id=hashlib.sha256(f"{path}".encode()).hexdigest()[:32],
+        self._stream = rr.RecordingStream(APPLICATION, recording_id=hashlib.sha256(f"{path}".encode()).hexdigest()[:32],
                                           send_properties=False)
         self._stream.set_log_time_enabled(False)
         self._stream.set_log_tick_enabled(False)
@@ -125,6 +133,10 @@ class _Scene:
         a = 12 * self.m
         return x[:a].reshape(-1, 12), x[a + 10 * self.k:a + 10 * self.k + 3 * self.n].reshape(-1, 3)
 
+    def look_at(self, image: str) -> None:
+        """Its residuals are those shown."""
+        self.worst = f"/photos/{part(image)}/**"
+
     def blueprint(self, shown: Shown = EVERYTHING) -> Any:
         import rerun.blueprint as rrb
 
@@ -133,7 +145,7 @@ class _Scene:
         low, high = np.percentile(seen, [2, 98], axis=0)
         target, reach = (low + high) / 2, 1.2 * max(float(np.linalg.norm(high - low)), 1e-3)
         eye = rrb.EyeControls3D(position=target + reach * np.array([0.4, -0.65, 0.75]), look_target=target, eye_up=(0, 0, 1))
-        hidden = hide(path for name, path in BUNDLE.items() if name in shown.hidden)
+        hidden = hide(path for name, path in BUNDLE.items() if name in shown.hidden) | unnamed(shown)
         space = rrb.Spatial3DView(origin="/", name="Block", contents=["/bundle/**", "/points/**"],
                                   background=theme.background(shown.dark), eye_controls=eye, overrides=hidden)
         curves = rrb.TimeSeriesView(origin="/plots/bundle/log10", name="Convergence (log10)")
@@ -210,7 +222,7 @@ class _Scene:
             index = {names[of.point[r]]: r for r in np.flatnonzero(of.image == self.block.image_index(o.image))}
             at = of.pixel[[index[p] for p in o.points]]
             factor = nice(camera.width / 12 / max(o.rms_px, 1e-6))
-            path = f"/photos/{rr.escape_entity_path_part(o.image)}"
+            path = f"/photos/{part(o.image)}"
             label = f"{o.image}: rms {o.rms_px:.2f} px, drawn {factor:g} times"
             box = rr.Boxes2D(mins=[[0, 0]], sizes=[[camera.width, camera.height]], colors=theme.INITIAL, labels=[label])
             log = partial(self.stream.log, static=True)  # of the last row, whichever is shown

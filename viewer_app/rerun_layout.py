@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +15,10 @@ from .rerun_shown import EVERYTHING, LAYERS, Shown
 
 if TYPE_CHECKING:
     import rerun.blueprint as rrb
+
+
+APPLICATION = "collinea"
+"""What rerun calls the program; blueprints belong to it."""
 
 
 def part(name: str) -> str:
@@ -42,11 +48,27 @@ def blueprint(replays: Sequence[Replay], site: np.ndarray, shown: Shown = EVERYT
     )
 
 
+def as_bytes(made: rrb.Blueprint) -> bytes:
+    """A blueprint as an open page of rerun's viewer takes it: it holds from now on."""
+    with tempfile.TemporaryDirectory(prefix="collinea-") as folder:
+        path = Path(folder) / "layout.rbl"
+        made.save(APPLICATION, path)
+        return path.read_bytes()
+
+
 def hide(paths: Iterable[str]) -> Any:
     """Overrides of a view by which entities, and what is below them, begin hidden."""
     import rerun.blueprint as rrb
 
     return {path: rrb.EntityBehavior(visible=False) for path in paths}
+
+
+def unnamed(shown: Shown) -> Any:
+    """Overrides of a view by which the known points' names are not written where the scene does not write them."""
+    import rerun as rr
+
+    return {f"/points/{kind}": rr.Points3D.from_fields(show_labels=False) for kind in ("control", "check")
+            if "labels" in shown.hidden}
 
 
 def hidden_in_space(replays: Sequence[Replay], shown: Shown) -> list[str]:
@@ -69,9 +91,9 @@ def _space(replays: Sequence[Replay], site: np.ndarray, shown: Shown) -> rrb.Spa
     target, reach = (low + high) / 2, 1.0 * max(float(np.linalg.norm(high - low)), 1e-3)
     eye = rrb.EyeControls3D(position=target + reach * np.array([0.4, -0.65, 0.75]), look_target=target, eye_up=(0, 0, 1))
     photos = [f"- /images/{part(name)}/photo/**" for name in dict.fromkeys(r.image for r in replays)]
-    hidden = hide(hidden_in_space(replays, shown))
+    overrides = hide(hidden_in_space(replays, shown)) | unnamed(shown)
     return rrb.Spatial3DView(origin="/", name="Block", contents=["/images/**", "/points/**", *photos],
-                             background=theme.background(shown.dark), eye_controls=eye, overrides=hidden)
+                             background=theme.background(shown.dark), eye_controls=eye, overrides=overrides)
 
 
 def _image(name: str, replays: Sequence[Replay], shown: Shown) -> rrb.Vertical:

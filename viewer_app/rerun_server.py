@@ -19,6 +19,7 @@ import threading
 import time
 import urllib.request
 import webbrowser
+from collections.abc import Iterator
 from functools import lru_cache
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -29,6 +30,8 @@ from solvers.errors import BadProject, Unsupported
 
 PAGE = {"/": "text/html; charset=utf-8", "/re_viewer.js": "text/javascript", "/re_viewer_bg.wasm": "application/wasm"}
 RECORDING = "/recording.rrd"
+LAYOUT = "/layout.rrd"
+"""Never ends: what is to be seen of the recording, told anew whenever that changes."""
 POLICY = ("default-src 'none'; script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval' blob:; style-src 'self' 'unsafe-inline'; "
           "img-src 'self' data: blob:; font-src 'self' data:; worker-src 'self' blob:; connect-src 'self' data:; "
           "base-uri 'none'; form-action 'none'; frame-ancestors 'self' http://127.0.0.1:* http://localhost:*")
@@ -37,21 +40,32 @@ START_SECONDS = 30.0
 
 
 class Served:
-    """A recording open to the browsers of this machine at `url`, until `close`; also a context manager."""
+    """A recording open to the browsers of this machine at `url`, until `close`; also a context manager.
 
-    def __init__(self, recording: Path, page: dict[str, bytes]) -> None:
+    follows: its pages take what `lay_out` says as long as they are open.
+    """
+
+    def __init__(self, recording: Path, page: dict[str, bytes], follows: bool = False) -> None:
         self.recording = recording
-        self._server = ThreadingHTTPServer(("127.0.0.1", 0), _handler(recording, page))
+        self._layout = _Layout()
+        self._server = ThreadingHTTPServer(("127.0.0.1", 0), _handler(recording, page, self._layout))
         self._server.daemon_threads = True
         self._thread = threading.Thread(target=self._server.serve_forever, args=(0.05,), name="rerun page", daemon=True)
         self._thread.start()
         self.origin = f"http://127.0.0.1:{self._server.server_port}"
-        self.url = f"{self.origin}/?url={quote(self.origin + RECORDING, safe='')}&hide_welcome_screen=1"
+        sources = (RECORDING, LAYOUT) if follows else (RECORDING,)
+        asked = "&".join(f"url={quote(self.origin + path, safe='')}" for path in sources)
+        self.url = f"{self.origin}/?{asked}&hide_welcome_screen=1"
         atexit.register(self.close)
+
+    def lay_out(self, blueprint: bytes) -> None:
+        """Lay the open pages out by a blueprint, and those that are opened later."""
+        self._layout.tell(blueprint)
 
     def close(self) -> None:
         """Stop serving; a second call does nothing."""
         atexit.unregister(self.close)
+        self._layout.tell(None)
         if self._thread.is_alive():
             self._server.shutdown()
             self._server.server_close()
@@ -64,6 +78,32 @@ class Served:
         self.close()
 
 
+class _Layout:
+    """The blueprint said last, for the pages that wait for it."""
+
+    def __init__(self) -> None:
+        self._change = threading.Condition()
+        self._said: bytes | None = None
+        self._times = 0
+
+    def tell(self, blueprint: bytes | None) -> None:
+        """None: there will be no other."""
+        with self._change:
+            self._said, self._times = blueprint, self._times + 1
+            self._change.notify_all()
+
+    def each(self) -> Iterator[bytes]:
+        """The one there is, and each that comes, but for those overtaken meanwhile."""
+        heard = 0
+        while True:
+            with self._change:
+                self._change.wait_for(lambda: self._times > heard)  # noqa: B023
+                said, heard = self._said, self._times
+            if said is None:
+                return
+            yield said
+
+
 def growing(recording: Path) -> bool:
     """Whether rows are still added to a recording: its run says so, and the process that makes them lives."""
     from solvers.workflows_bundle import is_running
@@ -71,15 +111,16 @@ def growing(recording: Path) -> bool:
     return is_running(recording.parent)
 
 
-def serve(recording: str | Path) -> Served:
+def serve(recording: str | Path, follows: bool = False) -> Served:
     """rerun's web viewer with a recording, on a free port of 127.0.0.1; its page may stand in an iframe of a local page.
+    follows: it can be laid out anew (`Served.lay_out`).
 
     Raises BadProject where there is no recording, Unsupported where rerun's program does not start.
     """
     path = Path(recording).resolve()
     if not path.is_file():
         raise BadProject(f"{recording}: there is no recording; solve the project first (collinea resect PROJECT)")
-    return Served(path, web_viewer())
+    return Served(path, web_viewer(), follows)
 
 
 def open_log(recording: str | Path, open_browser: bool = True) -> None:
@@ -146,7 +187,7 @@ def _free_ports(n: int) -> list[int]:
         return [s.getsockname()[1] for s in sockets]
 
 
-def _handler(recording: Path, page: dict[str, bytes]) -> type[BaseHTTPRequestHandler]:
+def _handler(recording: Path, page: dict[str, bytes], layout: _Layout) -> type[BaseHTTPRequestHandler]:
     class Handler(BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"
         server: ThreadingHTTPServer  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -162,6 +203,8 @@ def _handler(recording: Path, page: dict[str, bytes]) -> type[BaseHTTPRequestHan
                 self._growing(recording)
             elif path == RECORDING and recording.is_file():
                 self._answer(200, "application/octet-stream", recording.read_bytes())
+            elif path == LAYOUT:
+                self._layouts()
             else:
                 self._answer(404, "text/plain", b"not found")
 
@@ -183,11 +226,22 @@ def _handler(recording: Path, page: dict[str, bytes]) -> type[BaseHTTPRequestHan
             self.send_header("Cache-Control", "no-store")
             self.end_headers()
 
-        def _growing(self, path: Path) -> None:
-            """A recording that is still being written: what is there, and what comes, until its run is at its end."""
+        def _open(self) -> bool:
+            """An answer of unknown length is begun; whether it has a body."""
             self._head(200, "application/octet-stream", ("Connection", "close"))
             self.close_connection = True
-            if self.command != "GET":
+            return self.command == "GET"
+
+        def _layouts(self) -> None:
+            if self._open():
+                with contextlib.suppress(ConnectionError):
+                    for blueprint in layout.each():
+                        self.wfile.write(blueprint)
+                        self.wfile.flush()
+
+        def _growing(self, path: Path) -> None:
+            """A recording that is still being written: what is there, and what comes, until its run is at its end."""
+            if not self._open():
                 return
             with path.open("rb") as stream, contextlib.suppress(ConnectionError):
                 while True:

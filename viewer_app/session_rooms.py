@@ -19,7 +19,7 @@ from .acting import update
 from .actions_measure import SPOTS
 from .bundle_actions import OPTIONS, RunBundle
 from .bundle_state import Bundle, bundle_choices, bundle_of_choices
-from .desktop import FITS, PANELS, PHOTOS, Desktop
+from .desktop import FITS, LONGEST, PANELS, PHOTOS, TYPED, Desktop
 from .epochs import Epochs, GoToEpoch, reopened
 from .figures import FIGURES, Figure
 from .kept_run import KeptRun
@@ -117,7 +117,8 @@ kept(lambda room: {"opacity": room.opacity}, lambda said: Looking("", _number(sa
 def _desktop(said: Any) -> Desktop:
     view = tuple(_number(v, -1e9, 1e9) for v in said["view"])
     panel, photo = _one(said.get("panel", FITS), PANELS), _one(said.get("photo", Desktop.photo), PHOTOS)
-    return Desktop(str(said["side"])[:80], str(said["below"])[:80], view if len(view) == 6 else (), panel, photo)
+    typed = {box: str(words)[:LONGEST] for box, words in said.get("typed", {}).items() if box in TYPED}
+    return Desktop(str(said["side"])[:80], str(said["below"])[:80], view if len(view) == 6 else (), panel, photo, typed)
 
 
 kept(from_json=_desktop)(Desktop)
@@ -219,13 +220,18 @@ kept(_matching_json, _matching, _matching_again)(Matching)
 
 
 def _bundle_json(room: Bundle) -> dict[str, Any]:
-    """adjusted: whether there is a bundle that answers to what is chosen."""
+    """adjusted: whether there is a bundle that answers to what is chosen; stopped: the row at which somebody stopped it."""
     answered = bool(room.asked) and room.asked[:-1] == room.options
-    return {**bundle_choices(room), "adjusted": answered and (room.result is not None or room.task == "run")}
+    stopped = answered and not room.task and room.result is None and bool(room.rows)
+    going = answered and (room.result is not None or room.task == "run")
+    return {**bundle_choices(room), "adjusted": going, "stopped": room.steps if stopped else room.upto if going else None}
 
 
 def _bundle_again(state: State, said: Any) -> State:
-    return update(state, RunBundle()) if said.get("adjusted") is True else state
+    """A bundle that was stopped is stopped at the same row."""
+    row = said.get("stopped")
+    upto = row if isinstance(row, int) and not isinstance(row, bool) and row >= 0 else None
+    return update(state, RunBundle(upto=upto)) if said.get("adjusted") is True or upto is not None else state
 
 
 kept(_bundle_json, bundle_of_choices, _bundle_again)(Bundle)

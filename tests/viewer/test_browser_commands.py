@@ -54,7 +54,7 @@ from viewer_app.app import App
 from viewer_app.bridge import controls
 from viewer_app.bundle_actions import FreeParameter, SetBundle
 from viewer_app.bundle_state import Bundle
-from viewer_app.desktop import Desktop, SizePanel, SizePhoto
+from viewer_app.desktop import Desktop, SizePanel, SizePhoto, typed
 from viewer_app.epochs import DrawEllipsoids, Exaggerate
 from viewer_app.figures import ELEMENTS, ChooseFigure
 from viewer_app.kept_run import KeepRun, kept_of
@@ -343,6 +343,8 @@ def test_a_restart_reconnects_and_restores_the_state(session: Session, tmp_path_
             act(first, v, SwitchPoint(point), Show("rays", False), Show("vectors", 321.0), *CHOSEN)
             act(first, v, FreeParameter("c"), Step("first"), SizePanel("wide"), SizePhoto("small"))
             v.open_tab("Compare")
+            v.set_text("Names of GCPs", "G0*")
+            until(first, v, lambda: typed(first.state, "Names of GCPs") == "G0*", "words in a box")
             v.open_tab("Scene")
             until(first, v, lambda: first.state.room(Desktop).below == "Scene", "the tabs")
             eyes = first._eyes
@@ -376,6 +378,7 @@ def test_a_restart_reconnects_and_restores_the_state(session: Session, tmp_path_
                 assert second._eyes.view == looked and np.allclose(second.server.initial_camera.position, position, atol=1e-3)
                 for tab in ("Compare", "Scene"):
                     v.page.get_by_role("tab", name=tab, exact=True, selected=True).wait_for()
+                assert v.row("Names of GCPs").get_by_role("textbox").input_value() == "G0*"
                 v.wait_until(lambda: has_pose(second, v, camera_path(second)), "the frustum")
                 one, two = before.solution("perspective"), now.solution("perspective")
                 assert one and two and one.orientation and two.orientation

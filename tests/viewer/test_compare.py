@@ -15,7 +15,7 @@ from tests.viewer.conftest import CAMERA, make_block, make_state
 from viewer_app import theme
 from viewer_app.actions import Plot, Show, Solved, Step, UsePoints, update
 from viewer_app.app import App
-from viewer_app.panels.compare import chosen_group, errors_table, predicted, solutions_table
+from viewer_app.panels.compare import chosen_cluster, errors_table, predicted, solutions_table
 from viewer_app.scene import scene
 from viewer_app.solving_work import request
 from viewer_app.spots import ellipse, ground_of, plotted
@@ -112,7 +112,7 @@ def test_the_tables_say_predicted_and_actual(solved: State) -> None:
 
 
 def test_the_choice_of_control_has_a_name(solved: State) -> None:
-    assert chosen_group(solved) == "all" and chosen_group(update(solved, UsePoints("group B"))) == "group B"
+    assert chosen_cluster(solved) == "all" and chosen_cluster(update(solved, UsePoints("group B"))) == "group B"
 
 
 def test_a_place_projects_back_to_its_pixel(solved: State) -> None:

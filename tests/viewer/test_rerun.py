@@ -12,6 +12,7 @@ from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 import pytest
@@ -30,11 +31,11 @@ from tests.synthetic import REAL_CAMERA, block_of, prior_of, scene
 from tests.viewer.test_actions import solve_all  # type: ignore[import-not-found]
 from viewer_app import rerun_server, theme
 from viewer_app.bundle_state import Bundle
-from viewer_app.paint_rerun import record
+from viewer_app.paint_rerun import layout, record
 from viewer_app.replay import Replay
 from viewer_app.rerun_layout import blueprint, hidden_in_space
 from viewer_app.rerun_server import Served, growing, serve
-from viewer_app.rerun_shown import EVERYTHING, shown
+from viewer_app.rerun_shown import EVERYTHING, Shown, shown
 from viewer_app.state import State
 
 ORIGIN = np.array([412000.0, 5400000.0, 250.0])
@@ -68,17 +69,19 @@ class Site:
 
 
 class Recorded:
-    """The values of a recording by entity path and component: (iterations or None where static, values)."""
+    """The values of a recording, or of a blueprint, by entity path and component: (iterations or None where static, values)."""
 
     def __init__(self, path: Path) -> None:
         self.timelines: set[str] = set()
         self.values: dict[tuple[str, str], list[tuple[int | None, Any]]] = {}
-        for chunk in RrdReader(path).stream():
+        reader = RrdReader(path)
+        store = (*reader.recordings(), *reader.blueprints())[0]
+        for chunk in reader.stream(store=store):
             self.timelines |= set(chunk.timeline_names)
             batch = chunk.to_record_batch()
             index = batch["iteration"].to_pylist() if "iteration" in batch.schema.names else [None] * batch.num_rows
             for name in batch.schema.names:
-                if name not in ("rerun.controls.RowId", "iteration"):
+                if ":" in name:  # a component, not a timeline
                     found = self.values.setdefault((chunk.entity_path, name), [])
                     found += [(i, v) for i, v in zip(index, batch[name].to_pylist(), strict=True) if v is not None]
 
@@ -350,17 +353,21 @@ def test_errors_are_one_sentence(path: Path, tmp_path: Path, monkeypatch: pytest
 
 @pytest.mark.browser
 @pytest.mark.timeout(600)  # seconds on a graphics card; on two busy cores without one, minutes
-def test_it_opens_in_a_browser_and_speaks_to_nobody_else(path: Path) -> None:
+def test_it_opens_in_a_browser_follows_the_scene_and_speaks_to_nobody_else(site: Site, path: Path) -> None:
     require_chromium()
-    with serve(path) as served, chromium_page(served.url, size=(800, 560)) as (page, log):
-        def drawn() -> bool:
+    with serve(path, follows=True) as served, chromium_page(served.url, size=(800, 560)) as (page, log):
+        def drawn(name: str = "rerun") -> list[int]:
+            """Pixels of each model's colour in the view of the block, which is on the left, above the log."""
             picture = np.asarray(Image.open(BytesIO(page.screenshot(timeout=120_000))).convert("RGB"), int)
-            near = [np.abs(picture - colour).sum(axis=2) < 30 for colour in (theme.PERSPECTIVE, theme.ORTHOGONAL)]
             if os.environ.get("COLLINEA_SHOTS"):
-                Image.fromarray(picture.astype(np.uint8)).save(Path(os.environ["COLLINEA_SHOTS"]) / "rerun.png")
-            return all(n.sum() > 100 for n in near)
+                Image.fromarray(picture.astype(np.uint8)).save(Path(os.environ["COLLINEA_SHOTS"]) / f"{name}.png")
+            block = picture[60:300, :395]
+            return [int((np.abs(block - c).sum(axis=2) < 30).sum()) for c in (theme.PERSPECTIVE, theme.ORTHOGONAL)]
 
-        wait_until(page, drawn, "rerun to draw both models in their colours", timeout=500)
+        wait_until(page, lambda: min(drawn()) > 50, "rerun to draw both models in their colours", timeout=500)
+        for hidden, there in (({"orthogonal"}, (True, False)), ({"perspective"}, (False, True)), (set(), (True, True))):
+            served.lay_out(layout(site.block, site.orientations, Shown(NAME, frozenset(hidden))))
+            wait_until(page, lambda t=there: tuple(n > 20 for n in drawn(f"rerun {t}")) == t, f"rerun without {hidden}", 300)
         assert log.external == []
         assert f"{served.origin}/recording.rrd" in log.answered
         assert all(url.startswith(served.origin) for url in log.answered)
@@ -398,6 +405,42 @@ def test_a_recording_that_grows_is_handed_on_as_it_grows(tmp_path: Path) -> None
         assert answer.read() == b""
     running.write_text("999999999\n")
     assert not growing(recording)  # nobody makes rows any more
+
+
+def test_a_page_is_laid_out_anew_while_it_is_open(path: Path, tmp_path: Path) -> None:
+    """Each blueprint comes as it is said; who opens the page later gets the last; at the end every page is let go."""
+    direct = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+    with Served(path, {}, follows=True) as served:
+        assert quote(f"{served.origin}/layout.rrd", safe="") in served.url
+        with direct.open(f"{served.origin}/layout.rrd") as answer:
+            for said in (b"first ", b"second"):
+                served.lay_out(said)
+                assert answer.read(6) == said
+            with direct.open(f"{served.origin}/layout.rrd") as late:
+                assert late.read(6) == b"second"
+                served.close()
+                assert answer.read() == late.read() == b""
+    assert "layout" not in Served(path, {}).url
+
+
+def laid_out(made: bytes, folder: Path) -> dict[str, Any]:
+    """What a blueprint overrides in space, by entity and component."""
+    (folder / "made.rbl").write_bytes(made)
+    found = {}
+    for (path, name), values in Recorded(folder / "made.rbl").values.items():
+        if "/ViewContents/overrides/" in path and "/photo" not in path:
+            entity = path.split("/ViewContents/overrides")[1].split("/visualizers")[0]
+            found[f"{entity} {name.split(':')[1]}"] = values[-1][1]
+    return found
+
+
+def test_an_open_recording_follows_the_scene(site: Site, state: State, tmp_path: Path) -> None:
+    solved = solve_all(state)
+    done = [s.orientation for m in MODELS if (s := solved.solution(m, "left")) and s.orientation]
+    bare = replace(solved, view=replace(solved.view, orthogonal=False, labels=False))
+    with_all, less = (laid_out(layout(s.block, done, shown(s)), tmp_path) for s in (solved, bare))
+    said = {"/images/left/orthogonal visible": [False], "/points/control show_labels": [False]}
+    assert said.items() <= less.items() and not said.keys() & with_all.keys()
 
 
 def test_frustums_of_a_bundle_end_at_the_corners_of_their_photos() -> None:

@@ -30,7 +30,7 @@ from viewer_app.actions import (
     Undo,
 )
 from viewer_app.actions_points import EditPoint, SwitchRole
-from viewer_app.bundle_actions import FreeParameter, RunBundle, SetBundle
+from viewer_app.bundle_actions import FreeParameter, RunBundle, SetBundle, StopBundle
 from viewer_app.bundle_state import Bundle
 from viewer_app.bundle_tasks import tasks as bundle_tasks
 from viewer_app.desktop import Desktop, SizePanel, SizePhoto
@@ -198,8 +198,8 @@ def test_what_the_tabs_show_comes_back_and_what_they_made_is_asked_for_again(fol
 MADE_AGAIN = {
     KeptRun: {"solutions"},  # compared row by row below
     Matching: {"serial", "asked", "found", "shown", "row", "task", "progress", "network", "read", "message"},
-    Bundle: {"held", "task", "serial", "base", "rows", "layout", "block", "asked", "result", "progress", "error", "run", "opened",
-             "then_open"},
+    Bundle: {"held", "task", "serial", "base", "upto", "rows", "layout", "block", "asked", "result", "progress", "error", "run",
+             "opened", "then_open"},
     Mosaic: {"made", "layer", "busy", "progress", "message", "written"},
     Epochs: {"compared", "said"},
     Looking: {"image"},  # nobody begins inside a photo
@@ -218,7 +218,7 @@ def test_every_field_of_the_state_is_kept_or_said_to_be_made_again(folder: Path)
         Tables: Tables({"points": ("Z", True)}, "G0"),
         PhotoView: PhotoView(fresh.image, 120.0, 80.0, 900.0, 512.0),
         Looking: Looking("", 0.3),
-        Desktop: Desktop("Compare", "Scene", (1.0, 2.0, 3.0, 4.0, 5.0, 6.0), "wide", "small"),
+        Desktop: Desktop("Compare", "Scene", (1.0, 2.0, 3.0, 4.0, 5.0, 6.0), "wide", "small", {"Map file": "maps/a.tif"}),
         Figure: Figure(ELEMENTS),
         KeptRun: KeptRun(fresh.image, {"perspective": solve_all(fresh).work.solutions[fresh.image, "perspective"]}),
         Matching: Matching("DSC00231", "DSC00230", {"left": Look2(10.0, 20.0, 300.0)}, "G02", (30.0, 40.0), (50.0, 60.0), 31, 8,
@@ -273,6 +273,32 @@ def test_the_run_kept_beside_and_the_figure_come_back(folder: Path) -> None:
         said = json.loads(text)
         said["rooms"]["KeptRun"] |= words
         assert not kept_of(from_json(fresh, said)) and from_json(fresh, said).room(Figure) == Figure(ELEMENTS)
+
+
+def bundled(state: State) -> State:
+    """The state when its bundle's work is at its end."""
+    (task,) = bundle_tasks(state)
+    for value in task.call(*task.arguments):
+        state = update(state, task.arrive(value))
+    return state
+
+
+def test_a_stopped_bundle_is_found_at_its_row_after_a_restart(folder: Path) -> None:
+    fresh = opened(folder)
+    running = update(fresh, RunBundle())
+    (task,) = bundle_tasks(running)
+    for value in task.call(*task.arguments):
+        running = update(running, task.arrive(value))
+        if running.room(Bundle).steps == 2:
+            break
+    for state in (running, stopped := update(running, StopBundle())):
+        back = from_json(fresh, json.loads(json.dumps(to_json(state, fresh.block))))
+        assert back.room(Bundle).upto == (2 if state is stopped else None)
+    a, b = stopped.room(Bundle), bundled(back).room(Bundle)
+    assert len(a.rows) == len(b.rows) == 3 and all((r.x == s.x).all() for r, s in zip(a.rows, b.rows, strict=True))
+    assert a.progress == b.progress != "" and b.result is None and not b.task
+    on = update(bundled(back), RunBundle(on=True)).room(Bundle)
+    assert on.upto is None and on.base == 2
 
 
 def test_the_row_of_a_bundle_waits_for_the_bundle(folder: Path) -> None:

@@ -16,6 +16,7 @@ from ..bundle_scene import alone, click, judged, scene
 from ..bundle_state import COLOURED, DATUMS, FACTORS, ROBUST, SHUTTERS, STARTS, TRANSFORMS, Bundle
 from ..bundle_tasks import tasks
 from ..bundle_values import Judged
+from ..rerun_shown import Shown
 from ..state import MODELS, State
 from ..tabs import Command, Desk, Tab
 from .bundle_plots import correlation_svg, profile_svg, vectors_svg
@@ -30,7 +31,7 @@ from .bundle_tables import (
     suspects_table,
     two_runs,
 )
-from .rerun import RerunPanel
+from .rerun import Lay, RerunPanel
 from .widgets import BOX, MUTED, QUIET, Html, bind, esc, prop, put
 
 FIT = "fit"
@@ -172,11 +173,26 @@ class BundlePanel:
             self._plots.set(_box(plots_html(state)))
             self._tables.set(_box(tables_html(state, self._wire)))
         if room.opened > self._opened and room.run:
-            self._rerun.show(Path(room.run) / "recording.rrd")
+            self._rerun.show(Path(room.run) / "recording.rrd", _lay(state))
         self._opened = room.opened
+        self._rerun.follow(state)
 
     def close(self) -> None:
         self._rerun.close()
+
+
+def _lay(state: State) -> Lay:
+    """How the recording of the bundle follows the scene."""
+    room = state.room(Bundle)
+
+    def lay(now: Shown) -> bytes:
+        from ..rerun_bundle import bundle_layout
+
+        assert room.block is not None and room.layout is not None  # it was recorded
+        worst = room.layout.images[int(np.argmax(room.result.rms))] if room.result else ""
+        return bundle_layout(room.block, room.layout.manifest, room.rows[-1].x, worst, now)
+
+    return lay
 
 
 def _box(content: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..actions import Show, UseOnly, UsePoints
+from ..desktop import Type, typed
 from ..scene import COLOURS, sight
 from ..state import ADVICE, COMPARED, ONE_PASS, WITH_PRIOR, State, by_role, measured
 from ..tabs import Desk, Tab
@@ -29,6 +30,7 @@ class ComparePanel:
         self._names = gui.add_text(
             "Names of GCPs", "", hint="Control points to use, such as: G01, G07, G1*. Or drag a rectangle in the tab Photo."
         )
+        bind(self._names, emit, lambda value: Type("Names of GCPs", str(value)))
         self._use = gui.add_button("Use these points", hint="Only the control points named; everything is solved at once.")
         self._use.on_click(lambda _: emit(UseOnly(tuple(self._names.value.replace(",", " ").split()))))
         self._shown = gui.add_checkbox(
@@ -42,12 +44,13 @@ class ComparePanel:
         named = by_role(points)["named"].tolist() if points.group else ()
         groups = tuple(dict.fromkeys(points.group[j] for j in named if points.group[j]))
         prop(self._cluster, "options", (EVERY, SOME, *groups))
-        put(self._cluster, chosen_group(state))
+        put(self._cluster, chosen_cluster(state))
+        put(self._names, typed(state, "Names of GCPs"))
         put(self._shown, state.view.compared)
         self._table.set(f"<div {BOX}>{advice_html(state)}{solutions_table(state)}{errors_table(state)}</div>")
 
 
-def chosen_group(state: State) -> str:
+def chosen_cluster(state: State) -> str:
     """What the points that are on amount to: all, one group by name, or an own choice."""
     points, on = state.block.points, set(state.control())
     control = [(points.names[j], points.group[j] if points.group else "") for j in by_role(points)["control"].tolist()]

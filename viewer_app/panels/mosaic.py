@@ -11,6 +11,7 @@ from solvers import PhotogrammetryError
 
 from ..acting import Action
 from ..actions import Say, Undo
+from ..desktop import TYPED, Type, typed
 from ..flying import Fly
 from ..matching_actions import Accept, Reject
 from ..matching_state import Matching
@@ -209,6 +210,7 @@ class MosaicPanel:
             self._path = gui.add_text(
                 "Map file", "", hint="A map or orthophoto, GeoTIFF in the project's crs; path from the project's folder."
             )
+            bind(self._path, desk.emit, lambda value: Type("Map file", str(value)))
             upload = gui.add_upload_button(
                 "Hand over a map",
                 mime_type=".tif,.tiff",
@@ -232,9 +234,10 @@ class MosaicPanel:
         with gui.add_folder("Write", expand_by_default=False):
             self._out = gui.add_text(
                 "Mosaic file",
-                "mosaic.tif",
+                TYPED["Mosaic file"],
                 hint="Name within the project's folder: .tif (GeoTIFF with overviews), .png or .jpg (with a world file).",
             )
+            bind(self._out, desk.emit, lambda value: Type("Mosaic file", str(value)))
             self._button(
                 "Write mosaic",
                 "Compose at full resolution and write the file, its world file and footprints.",
@@ -297,6 +300,8 @@ class MosaicPanel:
             (self._opacity, room.opacity),
             (self._click, room.click),
             (self._factor, FIT if room.exaggeration == 0 else f"{room.exaggeration:g}"),
+            (self._path, typed(state, "Map file")),
+            (self._out, typed(state, "Mosaic file")),
         ):
             put(handle, value)
         for name, handle in self._switches.items():

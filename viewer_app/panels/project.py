@@ -104,6 +104,7 @@ class ProjectPanel:
     def draw(self, state: State) -> None:
         put(self._dark, state.view.dark)
         put(self._width, state.room(Desktop).panel)
+        self._rerun.follow(state)
         seen = (state.work, state.assets, state.image, state.view.dark)
         if seen != self._drawn:
             self._drawn = seen

@@ -6,8 +6,9 @@ import logging
 import tempfile
 import threading
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import viser
 
@@ -15,13 +16,21 @@ from solvers import PhotogrammetryError
 
 from ..actions import Action, Say
 from ..bridge import is_local
-from ..rerun_shown import shown
+from ..rerun_shown import EVERYTHING, Shown, shown
 from ..state import MODELS, State
 from .widgets import MUTED, QUIET, esc
 
+if TYPE_CHECKING:
+    from ..rerun_server import Served
+
+
+Lay = Callable[[Shown], bytes]
+"""The blueprint by which a recording shows what the scene does."""
+
 
 class RerunPanel:
-    """Records the solutions there are and shows the recording; a second press records anew."""
+    """Records the solutions there are and opens the recording, which follows the scene in what it shows; a second press records
+    anew."""
 
     def __init__(
         self, server: viser.ViserServer, emit: Callable[[Action], None], state: Callable[[], State], name: str = "rerun"
@@ -30,7 +39,9 @@ class RerunPanel:
         self._folder = tempfile.TemporaryDirectory(prefix="collinea-")
         self._lock = threading.Lock()
         self._count = 0
-        self._serving: Any = None
+        self._serving: Served | None = None
+        self._lay: Lay | None = None
+        self._shown = EVERYTHING
         self._panel: Any = None
         self._html: Any = None
         self._close = f"Close {name}"
@@ -38,28 +49,46 @@ class RerunPanel:
         close.on_trigger(lambda _: self._hide())  # type: ignore[attr-defined]
 
     def open(self, client: viser.ClientHandle | None = None) -> None:
-        with self._lock:
-            try:
-                url = self._serve()
-            except (PhotogrammetryError, OSError, RuntimeError) as error:
-                logging.getLogger("collinea").exception("rerun")
-                self._emit(Say(f"The run could not be opened in rerun: {error}"))
-                return
-            if url is None:
-                self._emit(Say("There is no solution to show in rerun yet; solve an image first."))
-                return
-            self._show(url)
+        """Record what is solved, and open it."""
+        self._open(self._record)
 
-    def show(self, recording: Path) -> None:
+    def show(self, recording: Path, lay: Lay) -> None:
         """Open a recording there is, without waiting for it."""
-        threading.Thread(target=self._open, args=(recording,), name="collinea-rerun", daemon=True).start()
+        work = (lambda: (recording, None, lay),)
+        threading.Thread(target=self._open, args=work, name="collinea-rerun", daemon=True).start()
 
-    def _open(self, recording: Path) -> None:
-        from ..paint_rerun import serve
+    def follow(self, state: State) -> None:
+        """An open recording shows from now on what the scene does, in the colours with which it was opened."""
+        now = replace(shown(state), dark=self._shown.dark)
+        if self._html is None or now == self._shown:
+            return
+        self._shown = now
+        threading.Thread(target=self._tell, args=(now,), name="collinea-rerun", daemon=True).start()
+
+    def _tell(self, now: Shown) -> None:
+        with self._lock:
+            if now is not self._shown or self._serving is None or self._lay is None:  # overtaken, or closed
+                return
+            try:
+                self._serving.lay_out(self._lay(now))
+            except (PhotogrammetryError, OSError, RuntimeError):
+                logging.getLogger("collinea").exception("rerun")
+
+    def _open(self, made: Callable[[], tuple[Path, Shown | None, Lay] | None]) -> None:
+        """made: the recording, with what it opens (None: with anything), and how it follows; None: there is nothing to record."""
+        from ..rerun_server import serve
 
         with self._lock:
             try:
-                serving = serve(recording)
+                found = made()
+                if found is None:
+                    self._emit(Say("There is no solution to show in rerun yet; solve an image first."))
+                    return
+                recording, recorded, self._lay = found
+                self._shown = recorded or shown(self._state())
+                serving = serve(recording, follows=True)
+                if recorded is None:
+                    serving.lay_out(self._lay(self._shown))
             except (PhotogrammetryError, OSError, RuntimeError) as error:
                 logging.getLogger("collinea").exception("rerun")
                 self._emit(Say(f"The run could not be opened in rerun: {error}"))
@@ -68,26 +97,25 @@ class RerunPanel:
                 self._serving.close()
             self._serving = serving
             self._show(serving.url)
+        self.follow(self._state())
 
-    def _serve(self) -> str | None:
-        from ..paint_rerun import record, serve
+    def _record(self) -> tuple[Path, Shown | None, Lay] | None:
+        from ..paint_rerun import layout, record
 
         state = self._state()
-        done = [s.orientation for i in state.block.images for m in MODELS if (s := state.solution(m, i.name)) and s.orientation]
+        block, now = state.block, shown(state)
+        done = [s.orientation for i in block.images for m in MODELS if (s := state.solution(m, i.name)) and s.orientation]
         if not done:
             return None
         done.sort(key=lambda o: o.image != state.image)
         self._count += 1
         path = Path(self._folder.name) / f"recording-{self._count}.rrd"
         photos = {name: photo.pane for name, photo in state.assets.photos.items()}
-        record(path, state.block, done, photos, _truth(state), shown(state))
-        if self._serving is not None:
-            self._serving.close()
-        self._serving = serve(path)
-        return self._serving.url
+        record(path, block, done, photos, _truth(state), now)
+        return path, now, lambda other: layout(block, done, other)
 
     def _show(self, url: str) -> None:
-        url += f"&theme={'dark' if self._state().view.dark else 'light'}"
+        url += f"&theme={'dark' if self._shown.dark else 'light'}"
         if self._panel is None:
             self._panel = self._gui.add_panel()
             with self._panel.add_tab("rerun"):
@@ -98,7 +126,7 @@ class RerunPanel:
                 close = self._gui.add_button(self._close, hint="Close the panel with rerun's viewer.", color=QUIET)
                 close.on_click(lambda _: self._hide())
         self._html.content = (
-            f'<iframe title="rerun" src="{esc(url)}" style="width:100%;height:calc(100vh - 90px);border:0"></iframe>'
+            f'<iframe title="rerun" src="{esc(url)}" style="width:100%;height:calc(100vh - 112px);border:0"></iframe>'
             f'<div style="padding:2px 12px;font-size:12px"><a href="{esc(url)}" target="_blank" rel="noreferrer">'
             f"Open in a tab of its own</a>{self._elsewhere()}</div>"
         )
