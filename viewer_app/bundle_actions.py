@@ -149,7 +149,8 @@ def _follow(state: State, action: FollowBundle) -> State:
     if state.assets.folder is None:
         return state.with_room(replace(room, error="This project has no folder, so no run to follow."))
     room = replace(room, base=0, rows=(), layout=None, block=state.block, asked=(*room.options, state.work.off), opened=0,
-                   task="follow", serial=room.serial + 1, result=None, progress="Looking for a run …", error="", run="")
+                   task="follow", serial=room.serial + 1, upto=None, result=None, error="", run="",
+                   progress="Looking for a run …")
     return follow(replace(state, follow=True, playing=False).with_room(room))
 
 
@@ -180,7 +181,8 @@ def _stop(state: State, action: StopBundle) -> State:
     if not room.task:
         return state
     said = stopped_at(room.steps) if room.rows else "Stopped before the first row."
-    return state.with_room(replace(room, task="", progress=said if room.task != "keep" else "", then_open=False))
+    upto = room.steps if room.task == "run" and room.rows else room.upto
+    return state.with_room(replace(room, task="", upto=upto, progress=said if room.task != "keep" else "", then_open=False))
 
 
 @handles(KeepBundle)
@@ -215,11 +217,12 @@ def _came(state: State, action: BundleCame) -> State:
         row = replace(what, index=room.base + what.index)
         room = replace(room, rows=(*room.rows, row), progress=f"Iteration {row.index}, σ0 {row.sigma0:.4g}")
     elif isinstance(what, Judged):
-        room = replace(room, result=what, task="", progress="")
+        room = replace(room, result=what, task="", upto=None, progress="")
     elif isinstance(what, Ended):
         room = replace(room, task="", progress=what.said)
     else:
-        room = replace(room, run=what.run, task="", progress="", opened=room.opened + room.then_open, then_open=False)
+        room = replace(room, run=what.run, worst=what.worst, task="", progress="", opened=room.opened + room.then_open,
+                       then_open=False)
     return follow(state.with_room(room))
 
 

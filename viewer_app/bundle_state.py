@@ -41,10 +41,9 @@ class Held:
 class Bundle:
     """What to adjust, and what came of it. per_image: of `free`, what every image has for itself; images: names or patterns of
     those that take part, nothing for all; held: another bundle to compare with. task: "run", "keep", "follow" or nothing;
-    serial: number of the run; base: row from which it goes on; upto: row it is to stop at, None for the end; block: as it was
-    adjusted. vectors, ellipsoid: exaggerations,
-    0 to fit; alone: drawn in place of the images oriented one by one. run: where it was kept; opened: how often rerun was asked
-    for."""
+    serial: number of the run; base: row from which it goes on; upto: row where it is to stop, or was stopped, None for the end;
+    block: as it was adjusted. vectors, ellipsoid: exaggerations, 0 to fit; alone: drawn in place of the images oriented one by
+    one. run: where it was kept; worst: its image of the largest residuals; opened: how often rerun was asked for."""
 
     model: str = MODELS[0]
     transform: str = TRANSFORMS[0]
@@ -76,6 +75,7 @@ class Bundle:
     draw_rays: bool = True
     alone: bool = True
     run: str = ""
+    worst: str = ""
     opened: int = 0
     then_open: bool = False
 

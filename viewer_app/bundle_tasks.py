@@ -12,7 +12,7 @@ from .bundle_actions import BundleCame, BundleFailed
 from .bundle_state import LEAST_SQUARES, Bundle, taking_part
 from .bundle_work import adjusted_of, bundle_work, follow_work, keep_work
 from .kept import by_identity
-from .rerun_shown import shown
+from .rerun_shown import bundle_shown
 from .state import State
 from .tasks import Task
 
@@ -35,7 +35,7 @@ def tasks(state: State) -> tuple[Task, ...]:
 
     if room.task == "keep" and state.assets.folder is not None:
         manifest = room.layout.manifest if room.layout is not None else {}
-        arguments = (block, options, room.rows, state.assets.folder, manifest, shown(state))
+        arguments = (block, options, room.rows, state.assets.folder, manifest, bundle_shown(state))
         return (Task(("keep", serial), keep_work, arguments, came, failed, "writing the run", "bundle"),)
     if room.task == "follow":
         arguments = (block, state.assets.folder, state.assets.frame)

@@ -109,7 +109,10 @@ class Judged:
 
 @dataclass(frozen=True)
 class Kept:
+    """Where a bundle was kept, and its image of the largest residuals ("" where there is none)."""
+
     run: str
+    worst: str = ""
 
 
 @dataclass(frozen=True)

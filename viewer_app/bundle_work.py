@@ -149,14 +149,14 @@ def keep_work(block: Block, options: dict[str, Any], rows: tuple[Iteration, ...]
     from solvers import BadProject
     from solvers.workflows_bundle import leave_run
 
-    from .rerun_bundle import record_bundle
+    from .rerun_bundle import record_bundle, worst_image
 
     adjusted = adjusted_of(block, options, rows, manifest)
     try:
         run = leave_run(folder, "adjust", block, adjusted, partial(record_bundle, shown=shown))
     except OSError as error:
         raise BadProject(f"the run could not be written ({error}); make room in {folder / 'runs'} or its rights") from None
-    yield Kept(str(run.run))
+    yield Kept(str(run.run), worst_image(adjusted))
 
 
 def adjusted_of(block: Block, options: dict[str, Any], rows: tuple[Iteration, ...], manifest: Mapping[str, Any]) -> Any:

@@ -28,6 +28,7 @@ def resume(state: State) -> State:
         if path is None or not path.is_file() or path.stat().st_size > LARGEST:
             return state
         said = json.loads(path.read_text(encoding="utf-8"))
+        json.dumps(said, ensure_ascii=False).encode()  # half a character could not be shown: no browser could open the project
     except (OSError, ValueError, RecursionError):
         return state
     return from_json(state, said)

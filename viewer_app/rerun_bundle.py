@@ -52,8 +52,7 @@ def record_bundle(path: str | Path, block: Block, adjusted: Adjusted, shown: Sho
         stream.set_log_time_enabled(False)
         stream.set_log_tick_enabled(False)
         scene = _Scene(stream, block, trace.manifest, trace.last.x)
-        if adjusted.orientations:
-            scene.look_at(max(adjusted.orientations, key=lambda o: o.rms_px).image)
+        scene.look_at(worst_image(adjusted))
         stream.save(unfinished, default_blueprint=scene.blueprint(shown))
         with stream:
             stream.send_recording_name(block.name)
@@ -68,12 +67,16 @@ def record_bundle(path: str | Path, block: Block, adjusted: Adjusted, shown: Sho
         unfinished.unlink(missing_ok=True)
 
 
+def worst_image(adjusted: Adjusted) -> str:
+    """Its image of the largest residuals, "" where there is none."""
+    return max(adjusted.orientations, key=lambda o: o.rms_px).image if adjusted.orientations else ""
+
+
 def bundle_layout(block: Block, manifest: Mapping[str, Any], x: np.ndarray, worst: str, shown: Shown) -> bytes:
     """How that recording is laid out from now on, for a page that has it open (`Served.lay_out`). x: of its last row; worst: the
     image whose residuals are shown, "" where there are none."""
     scene = _Scene(None, block, manifest, x)
-    if worst:
-        scene.look_at(worst)
+    scene.look_at(worst)
     return as_bytes(scene.blueprint(shown))
 
 
@@ -134,8 +137,8 @@ class _Scene:
         return x[:a].reshape(-1, 12), x[a + 10 * self.k:a + 10 * self.k + 3 * self.n].reshape(-1, 3)
 
     def look_at(self, image: str) -> None:
-        """Its residuals are those shown."""
-        self.worst = f"/photos/{part(image)}/**"
+        """Its residuals are those shown; all where it is ""."""
+        self.worst = f"/photos/{part(image)}/**" if image else "/photos/**"
 
     def blueprint(self, shown: Shown = EVERYTHING) -> Any:
         import rerun.blueprint as rrb

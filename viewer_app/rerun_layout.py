@@ -21,6 +21,12 @@ APPLICATION = "collinea"
 """What rerun calls the program; blueprints belong to it."""
 
 
+TABS = 24
+"""Images with a tab of their own at most: the chosen one and the next."""
+SWITCHES = 100
+"""Hidden entities that can be switched on in rerun, at most; more are left out."""
+
+
 def part(name: str) -> str:
     """A name as one part of an entity path."""
     import rerun as rr
@@ -33,8 +39,9 @@ def blueprint(replays: Sequence[Replay], site: np.ndarray, shown: Shown = EVERYT
     import rerun.blueprint as rrb
 
     images = list(dict.fromkeys(r.image for r in replays))
-    images.sort(key=lambda name: name != shown.image)
-    tabs: list[Any] = [_image(name, [r for r in replays if r.image == name], shown) for name in images]
+    first = images.index(shown.image) if shown.image in images else 0
+    images = images[first:] + images[:first]
+    tabs: list[Any] = [_image(name, [r for r in replays if r.image == name], shown) for name in images[:TABS]]
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(_space(replays, site, shown), rrb.TextLogView(origin="/log", name="Log"), row_shares=[3, 1]),
@@ -91,8 +98,10 @@ def _space(replays: Sequence[Replay], site: np.ndarray, shown: Shown) -> rrb.Spa
     target, reach = (low + high) / 2, 1.0 * max(float(np.linalg.norm(high - low)), 1e-3)
     eye = rrb.EyeControls3D(position=target + reach * np.array([0.4, -0.65, 0.75]), look_target=target, eye_up=(0, 0, 1))
     photos = [f"- /images/{part(name)}/photo/**" for name in dict.fromkeys(r.image for r in replays)]
-    overrides = hide(hidden_in_space(replays, shown)) | unnamed(shown)
-    return rrb.Spatial3DView(origin="/", name="Block", contents=["/images/**", "/points/**", *photos],
+    hidden = hidden_in_space(replays, shown)
+    left_out = [f"- {path}/**" for path in hidden] if len(hidden) > SWITCHES else []
+    overrides = unnamed(shown) if left_out else hide(hidden) | unnamed(shown)
+    return rrb.Spatial3DView(origin="/", name="Block", contents=["/images/**", "/points/**", *photos, *left_out],
                              background=theme.background(shown.dark), eye_controls=eye, overrides=overrides)
 
 

@@ -11,6 +11,7 @@ import atexit
 import contextlib
 import os
 import re
+import select
 import shutil
 import socket
 import subprocess
@@ -48,7 +49,7 @@ class Served:
     def __init__(self, recording: Path, page: dict[str, bytes], follows: bool = False) -> None:
         self.recording = recording
         self._layout = _Layout()
-        self._server = ThreadingHTTPServer(("127.0.0.1", 0), _handler(recording, page, self._layout))
+        self._server = ThreadingHTTPServer(("127.0.0.1", 0), _handler(recording, page, self._layout, follows))
         self._server.daemon_threads = True
         self._thread = threading.Thread(target=self._server.serve_forever, args=(0.05,), name="rerun page", daemon=True)
         self._thread.start()
@@ -89,19 +90,21 @@ class _Layout:
     def tell(self, blueprint: bytes | None) -> None:
         """None: there will be no other."""
         with self._change:
+            if self._times and self._said is None:
+                return
             self._said, self._times = blueprint, self._times + 1
             self._change.notify_all()
 
-    def each(self) -> Iterator[bytes]:
-        """The one there is, and each that comes, but for those overtaken meanwhile."""
+    def each(self, patience: float = 2.0) -> Iterator[bytes]:
+        """The one there is, and each that comes, but for those overtaken meanwhile; b"" whenever none came for so long [s]."""
         heard = 0
         while True:
             with self._change:
-                self._change.wait_for(lambda: self._times > heard)  # noqa: B023
+                came = self._change.wait_for(lambda: self._times > heard, patience)  # noqa: B023
                 said, heard = self._said, self._times
-            if said is None:
+            if came and said is None:
                 return
-            yield said
+            yield said if came and said else b""
 
 
 def growing(recording: Path) -> bool:
@@ -187,7 +190,7 @@ def _free_ports(n: int) -> list[int]:
         return [s.getsockname()[1] for s in sockets]
 
 
-def _handler(recording: Path, page: dict[str, bytes], layout: _Layout) -> type[BaseHTTPRequestHandler]:
+def _handler(recording: Path, page: dict[str, bytes], layout: _Layout, follows: bool) -> type[BaseHTTPRequestHandler]:
     class Handler(BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"
         server: ThreadingHTTPServer  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -203,7 +206,7 @@ def _handler(recording: Path, page: dict[str, bytes], layout: _Layout) -> type[B
                 self._growing(recording)
             elif path == RECORDING and recording.is_file():
                 self._answer(200, "application/octet-stream", recording.read_bytes())
-            elif path == LAYOUT:
+            elif path == LAYOUT and follows:
                 self._layouts()
             else:
                 self._answer(404, "text/plain", b"not found")
@@ -236,8 +239,15 @@ def _handler(recording: Path, page: dict[str, bytes], layout: _Layout) -> type[B
             if self._open():
                 with contextlib.suppress(ConnectionError):
                     for blueprint in layout.each():
+                        if self._left():
+                            return
                         self.wfile.write(blueprint)
                         self.wfile.flush()
+
+        def _left(self) -> bool:
+            """Whether the page was closed."""
+            heard, _, _ = select.select([self.connection], [], [], 0)
+            return bool(heard) and not self.connection.recv(1, socket.MSG_PEEK)
 
         def _growing(self, path: Path) -> None:
             """A recording that is still being written: what is there, and what comes, until its run is at its end."""

@@ -26,8 +26,14 @@ EVERYTHING = Shown()
 
 
 def shown(state: State) -> Shown:
-    """As the tabs Scene and Bundle have it."""
-    view, room = state.view, state.room(Bundle)
+    """What the recording of the images has of it: as the tab Scene has it, with the rays of the chosen image."""
+    view = state.view
     hidden = {name for name in (*LAYERS, "rays", "labels", "residuals") if not getattr(view, name)}
-    hidden |= {name for name in BUNDLE if not getattr(room, name)}
     return Shown(state.image, frozenset(hidden), view.dark)
+
+
+def bundle_shown(state: State) -> Shown:
+    """What the recording of the bundle has of it: as the tab Bundle has it, and the names as the tab Scene."""
+    room, view = state.room(Bundle), state.view
+    hidden = {name for name in BUNDLE if not getattr(room, name)}
+    return Shown("", frozenset(hidden | ({"labels"} if not view.labels else set())), view.dark)

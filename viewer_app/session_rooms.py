@@ -117,7 +117,7 @@ kept(lambda room: {"opacity": room.opacity}, lambda said: Looking("", _number(sa
 def _desktop(said: Any) -> Desktop:
     view = tuple(_number(v, -1e9, 1e9) for v in said["view"])
     panel, photo = _one(said.get("panel", FITS), PANELS), _one(said.get("photo", Desktop.photo), PHOTOS)
-    typed = {box: str(words)[:LONGEST] for box, words in said.get("typed", {}).items() if box in TYPED}
+    typed = {box: words[:LONGEST] for box, words in said.get("typed", {}).items() if box in TYPED and isinstance(words, str)}
     return Desktop(str(said["side"])[:80], str(said["below"])[:80], view if len(view) == 6 else (), panel, photo, typed)
 
 
@@ -222,9 +222,8 @@ kept(_matching_json, _matching, _matching_again)(Matching)
 def _bundle_json(room: Bundle) -> dict[str, Any]:
     """adjusted: whether there is a bundle that answers to what is chosen; stopped: the row at which somebody stopped it."""
     answered = bool(room.asked) and room.asked[:-1] == room.options
-    stopped = answered and not room.task and room.result is None and bool(room.rows)
     going = answered and (room.result is not None or room.task == "run")
-    return {**bundle_choices(room), "adjusted": going, "stopped": room.steps if stopped else room.upto if going else None}
+    return {**bundle_choices(room), "adjusted": going, "stopped": room.upto if answered else None}
 
 
 def _bundle_again(state: State, said: Any) -> State:

@@ -27,12 +27,12 @@ def recording(state: State, path: Path) -> None:
     from .paint_rerun import record
     from .rerun_bundle import record_bundle
     from .rerun_mosaic import record_mosaic
-    from .rerun_shown import shown
+    from .rerun_shown import bundle_shown, shown
 
     room, folder = state.room(Bundle), state.assets.folder
     done = [s.orientation for i in state.block.images for m in MODELS if (s := state.solution(m, i.name)) and s.orientation]
     if room.rows and room.layout is not None and (room.leads or not done):
-        record_bundle(path, *adjusted_bundle(state), shown(state))
+        record_bundle(path, *adjusted_bundle(state), bundle_shown(state))
     elif done:
         photos = {name: photo.pane for name, photo in state.assets.photos.items()}
         record(path, state.block, done, photos, (read_truth(folder) if folder else None) or {}, shown(state))

@@ -195,6 +195,8 @@ def test_a_map_is_handed_over_and_nothing_else(session: Session, tmp_path: Path)
     v.wait_until(lambda: (folder / "maps" / "a_map.tif").is_file(), "the map in the project")
     assert (folder / "maps" / "a_map.tif").read_bytes() == right.read_bytes()
     v.page.get_by_text("There is no finished mosaic yet").wait_for()
+    box = v.row("Map file").get_by_role("textbox")
+    v.wait_until(lambda: box.input_value() == "maps/a_map.tif", "its name in the box, for Compare with map")
     v.open_tab("Orientation")
 
 

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+import socket
 import subprocess
 import sys
+import threading
+import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
@@ -12,7 +15,7 @@ from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
+from urllib.parse import quote, urlsplit
 
 import numpy as np
 import pytest
@@ -33,9 +36,9 @@ from viewer_app import rerun_server, theme
 from viewer_app.bundle_state import Bundle
 from viewer_app.paint_rerun import layout, record
 from viewer_app.replay import Replay
-from viewer_app.rerun_layout import blueprint, hidden_in_space
+from viewer_app.rerun_layout import TABS, blueprint, hidden_in_space
 from viewer_app.rerun_server import Served, growing, serve
-from viewer_app.rerun_shown import EVERYTHING, Shown, shown
+from viewer_app.rerun_shown import EVERYTHING, Shown, bundle_shown, shown
 from viewer_app.state import State
 
 ORIGIN = np.array([412000.0, 5400000.0, 250.0])
@@ -269,6 +272,16 @@ def test_it_opens_with_space_photo_curves_normal_matrices_and_log(site: Site) ->
     assert {f"/plots/{PART}/{m}/{what}" for m in MODELS for what in ("log10", "position", "attitude")} == set(shown)
 
 
+def test_a_block_of_many_images_is_laid_out_about_the_chosen_one(site: Site) -> None:
+    replay = Replay.of(site.orientations[0].trace, site.block, site.frame)
+    many = [replace(replay, image=f"I{k}") for k in range(300)]
+    made = blueprint(many, site.frame.to_local(site.block.points.xyz), Shown("I290"))
+    space, tabs = made.root_container.contents[0].contents[0], made.root_container.contents[1].contents
+    assert [t.name for t in tabs[:12]] == [f"I{k % 300}" for k in range(290, 302)] and len(tabs) == TABS + 1
+    out = [c for c in space.contents if c.endswith("/rays/**")]
+    assert len(out) == 299 and "- /images/I290/perspective/rays/**" not in out and not space.visualizer_overrides
+
+
 def test_same_run_same_recording(site: Site, path: Path, recorded: Recorded, tmp_path: Path) -> None:
     site.record(tmp_path / "again.rrd")
     again = Recorded(tmp_path / "again.rrd").values
@@ -387,7 +400,7 @@ def test_it_opens_with_what_the_scene_shows(state: State) -> None:
     none = replace(solved, view=replace(solved.view, rays=False, dark=True))
     assert len(hidden_in_space(replays, shown(none))) == 4 and shown(none).dark
     bare = solved.with_room(replace(solved.room(Bundle), draw_ellipsoids=False))
-    assert "draw_ellipsoids" in shown(bare).hidden
+    assert bundle_shown(bare).hidden == {"draw_ellipsoids"} and shown(bare) == shown(solved)
 
 
 def test_a_recording_that_grows_is_handed_on_as_it_grows(tmp_path: Path) -> None:
@@ -420,7 +433,22 @@ def test_a_page_is_laid_out_anew_while_it_is_open(path: Path, tmp_path: Path) ->
                 assert late.read(6) == b"second"
                 served.close()
                 assert answer.read() == late.read() == b""
-    assert "layout" not in Served(path, {}).url
+    with serve(path) as served:
+        assert "layout" not in served.url and _get(f"{served.origin}/layout.rrd")[0] == 404
+
+
+def test_a_page_that_was_closed_keeps_nothing(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rerun_server._Layout.each, "__defaults__", (0.05,))
+    before = set(threading.enumerate())
+    with Served(path, {}, follows=True) as served:
+        for _ in range(5):
+            with socket.create_connection(("127.0.0.1", urlsplit(served.origin).port)) as page:
+                page.sendall(f"GET /layout.rrd HTTP/1.1\r\nHost: {urlsplit(served.origin).netloc}\r\n\r\n".encode())
+                assert page.recv(15) == b"HTTP/1.1 200 OK"
+        deadline = time.monotonic() + 20
+        while len(set(threading.enumerate()) - before) > 1:  # the server's own
+            assert time.monotonic() < deadline, threading.enumerate()
+            time.sleep(0.01)
 
 
 def laid_out(made: bytes, folder: Path) -> dict[str, Any]:

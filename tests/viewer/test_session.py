@@ -30,7 +30,7 @@ from viewer_app.actions import (
     Undo,
 )
 from viewer_app.actions_points import EditPoint, SwitchRole
-from viewer_app.bundle_actions import FreeParameter, RunBundle, SetBundle, StopBundle
+from viewer_app.bundle_actions import FollowBundle, FreeParameter, HoldBundle, RunBundle, SetBundle, StopBundle
 from viewer_app.bundle_state import Bundle
 from viewer_app.bundle_tasks import tasks as bundle_tasks
 from viewer_app.desktop import Desktop, SizePanel, SizePhoto
@@ -150,6 +150,15 @@ def test_the_session_is_found_beside_the_project(folder: Path, edited: State) ->
     assert same(resume(opened(folder)), opened(folder))
 
 
+def test_half_a_character_in_a_session_keeps_no_browser_out(folder: Path, edited: State) -> None:
+    """JSON can say one; no message to a page can."""
+    said = to_json(edited, opened(folder).block)
+    said["rooms"]["Desktop"]["typed"] = {"Map file": "\ud800"}
+    (folder / NAME).write_text(json.dumps(said), encoding="utf-8")
+    assert same(resume(opened(folder)), opened(folder))
+    (folder / NAME).unlink()
+
+
 def test_edits_are_left_out_where_the_files_have_changed(folder: Path, edited: State) -> None:
     fresh = opened(folder)
     said = to_json(edited, fresh.block)
@@ -199,7 +208,7 @@ MADE_AGAIN = {
     KeptRun: {"solutions"},  # compared row by row below
     Matching: {"serial", "asked", "found", "shown", "row", "task", "progress", "network", "read", "message"},
     Bundle: {"held", "task", "serial", "base", "upto", "rows", "layout", "block", "asked", "result", "progress", "error", "run",
-             "opened", "then_open"},
+             "worst", "opened", "then_open"},
     Mosaic: {"made", "layer", "busy", "progress", "message", "written"},
     Epochs: {"compared", "said"},
     Looking: {"image"},  # nobody begins inside a photo
@@ -299,6 +308,11 @@ def test_a_stopped_bundle_is_found_at_its_row_after_a_restart(folder: Path) -> N
     assert a.progress == b.progress != "" and b.result is None and not b.task
     on = update(bundled(back), RunBundle(on=True)).room(Bundle)
     assert on.upto is None and on.base == 2
+    refused = update(stopped, HoldBundle())  # a sentence of another kind is no reason to forget it
+    whole = bundled(update(refused, RunBundle()))
+    for state, row in ((refused, 2), (whole, None), (update(whole, FollowBundle()), None)):
+        assert to_json(state, fresh.block)["rooms"]["Bundle"]["stopped"] == row
+    assert refused.room(Bundle).error and to_json(whole, fresh.block)["rooms"]["Bundle"]["adjusted"] is True
 
 
 def test_the_row_of_a_bundle_waits_for_the_bundle(folder: Path) -> None:

@@ -16,7 +16,7 @@ from ..bundle_scene import alone, click, judged, scene
 from ..bundle_state import COLOURED, DATUMS, FACTORS, ROBUST, SHUTTERS, STARTS, TRANSFORMS, Bundle
 from ..bundle_tasks import tasks
 from ..bundle_values import Judged
-from ..rerun_shown import Shown
+from ..rerun_shown import Shown, bundle_shown
 from ..state import MODELS, State
 from ..tabs import Command, Desk, Tab
 from .bundle_plots import correlation_svg, profile_svg, vectors_svg
@@ -83,7 +83,7 @@ class BundlePanel:
         show = gui.add_button("Bundle in rerun", hint="Keep it as a run and open its recording in rerun, beside the scene.",
                               color=QUIET)
         show.on_click(lambda _: emit(KeepBundle(open=True)))
-        self._rerun = RerunPanel(desk.server, emit, desk.state, "rerun of the bundle")
+        self._rerun = RerunPanel(desk.server, emit, desk.state, bundle_shown, "rerun of the bundle")
         self._opened = 0
         self._seen: tuple[Any, ...] = ()
 
@@ -173,7 +173,7 @@ class BundlePanel:
             self._plots.set(_box(plots_html(state)))
             self._tables.set(_box(tables_html(state, self._wire)))
         if room.opened > self._opened and room.run:
-            self._rerun.show(Path(room.run) / "recording.rrd", _lay(state))
+            self._rerun.show(Path(room.run) / "recording.rrd", _lay(room))
         self._opened = room.opened
         self._rerun.follow(state)
 
@@ -181,16 +181,15 @@ class BundlePanel:
         self._rerun.close()
 
 
-def _lay(state: State) -> Lay:
+def _lay(room: Bundle) -> Lay:
     """How the recording of the bundle follows the scene."""
-    room = state.room(Bundle)
+    block, layout, x, worst = room.block, room.layout, room.rows[-1].x, room.worst
+    assert block is not None and layout is not None  # it was recorded
 
     def lay(now: Shown) -> bytes:
         from ..rerun_bundle import bundle_layout
 
-        assert room.block is not None and room.layout is not None  # it was recorded
-        worst = room.layout.images[int(np.argmax(room.result.rms))] if room.result else ""
-        return bundle_layout(room.block, room.layout.manifest, room.rows[-1].x, worst, now)
+        return bundle_layout(block, layout.manifest, x, worst, now)
 
     return lay
 

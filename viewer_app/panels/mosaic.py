@@ -265,7 +265,7 @@ class MosaicPanel:
         except (PhotogrammetryError, OSError) as error:
             self._desk.emit(Say(str(error)))
             return
-        self._path.value = path
+        self._desk.emit(Type("Map file", path))
         self._desk.emit(OpenLayer(path))
 
     def _download(self, client: Any) -> None:

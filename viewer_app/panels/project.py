@@ -17,6 +17,7 @@ from ..desktop import PANELS, Desktop, SizePanel
 from ..flying import Fly, asked_by, through
 from ..looking import Looking, Opacity, looked_through
 from ..overlay import overlay
+from ..rerun_shown import shown
 from ..state import MODELS, State, measured
 from ..tabs import Command, Desk, Tab
 from .rerun import RerunPanel
@@ -66,7 +67,7 @@ class ProjectPanel:
 
     def __init__(self, desk: Desk) -> None:
         gui, emit, self._desk, self._wire = desk.gui, desk.emit, desk, desk.wire
-        self._rerun = RerunPanel(desk.server, emit, desk.state)
+        self._rerun = RerunPanel(desk.server, emit, desk.state, shown, "rerun")
         self._text = Html(gui)
         self._drawn: tuple[object, ...] = ()
         for label, (hint, way) in self._ways().items():

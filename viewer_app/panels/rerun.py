@@ -12,11 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import viser
 
-from solvers import PhotogrammetryError
-
 from ..actions import Action, Say
 from ..bridge import is_local
-from ..rerun_shown import EVERYTHING, Shown, shown
+from ..rerun_shown import EVERYTHING, Shown
 from ..state import MODELS, State
 from .widgets import MUTED, QUIET, esc
 
@@ -26,22 +24,30 @@ if TYPE_CHECKING:
 
 Lay = Callable[[Shown], bytes]
 """The blueprint by which a recording shows what the scene does."""
+SOON = 0.3
+"""Seconds after which it does: who switches one layer often switches another."""
 
 
 class RerunPanel:
     """Records the solutions there are and opens the recording, which follows the scene in what it shows; a second press records
-    anew."""
+    anew. shown: what such a recording has of the scene."""
 
     def __init__(
-        self, server: viser.ViserServer, emit: Callable[[Action], None], state: Callable[[], State], name: str = "rerun"
+        self,
+        server: viser.ViserServer,
+        emit: Callable[[Action], None],
+        state: Callable[[], State],
+        shown: Callable[[State], Shown],
+        name: str,
     ) -> None:
-        self._server, self._gui, self._emit, self._state = server, server.gui, emit, state
+        self._server, self._gui, self._emit, self._state, self._of = server, server.gui, emit, state, shown
         self._folder = tempfile.TemporaryDirectory(prefix="collinea-")
         self._lock = threading.Lock()
         self._count = 0
         self._serving: Served | None = None
         self._lay: Lay | None = None
         self._shown = EVERYTHING
+        self._waiting = False
         self._panel: Any = None
         self._html: Any = None
         self._close = f"Close {name}"
@@ -54,56 +60,62 @@ class RerunPanel:
 
     def show(self, recording: Path, lay: Lay) -> None:
         """Open a recording there is, without waiting for it."""
-        work = (lambda: (recording, None, lay),)
+        work = (lambda: (recording, lay),)
         threading.Thread(target=self._open, args=work, name="collinea-rerun", daemon=True).start()
 
     def follow(self, state: State) -> None:
         """An open recording shows from now on what the scene does, in the colours with which it was opened."""
-        now = replace(shown(state), dark=self._shown.dark)
-        if self._html is None or now == self._shown:
-            return
-        self._shown = now
-        threading.Thread(target=self._tell, args=(now,), name="collinea-rerun", daemon=True).start()
+        if self._html is not None and not self._waiting and self._now(state) != self._shown:
+            self._waiting = True
+            timer = threading.Timer(SOON, self._lay_out)
+            timer.daemon = True
+            timer.start()
 
-    def _tell(self, now: Shown) -> None:
+    def _now(self, state: State) -> Shown:
+        return replace(self._of(state), dark=self._shown.dark)
+
+    def _lay_out(self) -> None:
         with self._lock:
-            if now is not self._shown or self._serving is None or self._lay is None:  # overtaken, or closed
+            self._waiting = False
+            now = self._now(self._state())
+            if self._html is None or self._serving is None or self._lay is None or now == self._shown:
                 return
+            self._shown = now
             try:
                 self._serving.lay_out(self._lay(now))
-            except (PhotogrammetryError, OSError, RuntimeError):
+            except Exception:  # the recording stays as it was
                 logging.getLogger("collinea").exception("rerun")
 
-    def _open(self, made: Callable[[], tuple[Path, Shown | None, Lay] | None]) -> None:
-        """made: the recording, with what it opens (None: with anything), and how it follows; None: there is nothing to record."""
+    def _open(self, made: Callable[[], tuple[Path, Lay] | None]) -> None:
+        """made: the recording and how it follows, None where there is nothing to record."""
         from ..rerun_server import serve
 
         with self._lock:
+            now = self._of(self._state())
             try:
                 found = made()
                 if found is None:
                     self._emit(Say("There is no solution to show in rerun yet; solve an image first."))
                     return
-                recording, recorded, self._lay = found
-                self._shown = recorded or shown(self._state())
+                recording, lay = found
+                laid = lay(now)  # it may have been recorded while something else was shown
                 serving = serve(recording, follows=True)
-                if recorded is None:
-                    serving.lay_out(self._lay(self._shown))
-            except (PhotogrammetryError, OSError, RuntimeError) as error:
+            except Exception as error:
                 logging.getLogger("collinea").exception("rerun")
                 self._emit(Say(f"The run could not be opened in rerun: {error}"))
                 return
             if self._serving is not None:
                 self._serving.close()
-            self._serving = serving
+            self._serving, self._lay, self._shown = serving, lay, now
+            serving.lay_out(laid)
             self._show(serving.url)
         self.follow(self._state())
 
-    def _record(self) -> tuple[Path, Shown | None, Lay] | None:
+    def _record(self) -> tuple[Path, Lay] | None:
         from ..paint_rerun import layout, record
 
         state = self._state()
-        block, now = state.block, shown(state)
+        block, now = state.block, self._of(state)
         done = [s.orientation for i in block.images for m in MODELS if (s := state.solution(m, i.name)) and s.orientation]
         if not done:
             return None
@@ -112,7 +124,7 @@ class RerunPanel:
         path = Path(self._folder.name) / f"recording-{self._count}.rrd"
         photos = {name: photo.pane for name, photo in state.assets.photos.items()}
         record(path, block, done, photos, _truth(state), now)
-        return path, now, lambda other: layout(block, done, other)
+        return path, lambda other: layout(block, done, other)
 
     def _show(self, url: str) -> None:
         url += f"&theme={'dark' if self._shown.dark else 'light'}"
@@ -141,12 +153,13 @@ class RerunPanel:
         with self._lock:
             if self._panel is not None:
                 self._panel.remove()
-                self._panel = self._html = None
+                self._panel = self._html = self._lay = None
 
     def close(self) -> None:
         with self._lock:
             if self._serving is not None:
                 self._serving.close()
+                self._serving = None
             self._folder.cleanup()
 
 
