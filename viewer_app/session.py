@@ -2,7 +2,7 @@
 
 Edits are kept as differences from the project on disk, whose content the session names; where the files have changed meanwhile
 the edits are left out and a sentence says so. Solutions, bundle and mosaics are not kept: they are made again, to the same
-numbers.
+numbers; of a bundle that was gone on with, all rows in one go.
 """
 
 from __future__ import annotations
