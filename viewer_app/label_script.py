@@ -10,6 +10,8 @@ in the theme's colours and says which labels are drawn:
   spare, so that nothing flickers while the camera moves.
 
 Where viser draws its labels in another way, nothing of this is done, and labels stay what viser makes of them.
+
+A picture that is asked of the page (`get_render`) reaches as far as the page itself: viser would end it after 1000 m.
 """
 
 import json
@@ -152,8 +154,15 @@ window.collineaLabels = (() => {
     if (own) drawn = now;
     u.uLabelData.value.needsUpdate = true;
   };
+  const reach = camera => {  // a picture that was asked for ends where the page does, not after viser's 1000 m
+    const own = window.__viserMutable?.camera;
+    if (!own || camera === own || !camera.isPerspectiveCamera || camera.far === own.far) return;
+    [camera.near, camera.far] = [own.near, own.far];
+    camera.updateProjectionMatrix();
+  };
   let broken = false;
   const before = (renderer, scene, camera) => {
+    reach(camera);
     if (broken) return;
     try {
       if (!group?.parent || !group.children.length) group = find(scene);

@@ -24,10 +24,12 @@ from solvers.io.photos import photo_size
 from tests.browser import LOCAL, chromium_page, require_chromium
 from tests.viewer.sessions import DEMO
 from tests.viewer.test_actions import solve_all  # type: ignore[import-not-found]
+from viewer_app import pictures
 from viewer_app.acting import update
 from viewer_app.actions import ChooseImage, ChoosePoint, Show, SwitchPoint
 from viewer_app.actions_points import EditPoint
 from viewer_app.exporting import KINDS, settled
+from viewer_app.home import home
 from viewer_app.keeping import Keeper, resume
 from viewer_app.lists import Tables
 from viewer_app.loading import open_project
@@ -234,8 +236,18 @@ def test_a_picture_without_a_browser_is_a_sentence(monkeypatch: pytest.MonkeyPat
 
 @pytest.mark.browser
 @pytest.mark.timeout(240)
-def test_the_scene_is_drawn_as_a_picture_of_the_size_asked_for(state: State) -> None:
+@pytest.mark.parametrize("fov", [45.0, 1.0])
+def test_the_scene_is_drawn_as_a_picture_of_the_size_asked_for(
+    state: State, monkeypatch: pytest.MonkeyPatch, fov: float
+) -> None:
+    """Through a long lens from beyond the 1000 m after which viser ends a picture as well."""
     require_chromium()
+    away, at = pictures.home_alone(state, *pictures.VIEW, np.radians(fov), pictures.LEGEND)
+    distance = float(np.linalg.norm(away - at))
+    assert (distance > 1000) == (fov == 1)
+    monkeypatch.setattr(pictures, "PATIENCE", 60.0)
+    monkeypatch.setattr(pictures, "home", lambda state: (*home(state)[:2], 10 * distance))
+    monkeypatch.setattr(pictures, "FOV", np.radians(fov))
     drawn = np.asarray(Picture.open(io.BytesIO(scene_png(state, (270, 480)))), int)
     assert drawn.shape == (270, 480, 3) and tuple(drawn[2, 2]) == (255, 255, 255)
     assert (np.abs(drawn[:, 200:] - 255).sum(axis=2) > 24).mean() > 0.02  # something is drawn
