@@ -89,6 +89,7 @@ class Eyes:
         self._before: dict[int, Look] = {}
         self._home: tuple[np.ndarray, np.ndarray, float] | None = None
         self._starts: list[np.ndarray] = []
+        self._given: list[tuple[float, ...]] = []  # kept views with which browsers began
         self._opens = True  # until everything was solved once, what is found widens the first view
         self._oriented = self._adjusted = False
         self._placed: Network | None = None
@@ -120,11 +121,19 @@ class Eyes:
         self._home = position, at, far
         self._starts = [*self._starts[-STARTS:], position]
         camera = self._server.initial_camera
-        camera.position, camera.look_at, camera.far, camera.near = position, at, far, far / 20000
-        if self.view:
-            camera.position, camera.look_at = np.array(self.view[:3]), np.array(self.view[3:])
+        camera.far, camera.near = far, far / 20000
+        self._begin()
         for client in self._server.get_clients().values():
             self.frame(client)
+
+    def _begin(self) -> None:
+        """Whoever comes begins where the last one looked, or at home."""
+        if self._home is None:
+            return
+        camera, view = self._server.initial_camera, self.view
+        camera.position, camera.look_at = (np.array(view[:3]), np.array(view[3:])) if view else self._home[:2]
+        if view:
+            self._given = [*self._given[-STARTS:], view]
 
     def _look_at_mosaic(self) -> None:
         """A mosaic was made: who has moved and sees nothing of it is taken there, or told where others look too."""
@@ -181,7 +190,7 @@ class Eyes:
                 return
             if number in self._taken:
                 self._looked(number, look)
-            elif self.view and np.allclose((*look.position, *look.at), self.view, rtol=1e-3, atol=1e-3):
+            elif any(np.allclose((*look.position, *look.at), view, rtol=1e-3, atol=1e-3) for view in self._given):
                 self._taken.add(number)  # it looks as the last one did
 
         client.camera.on_update(looks)
@@ -197,12 +206,14 @@ class Eyes:
         self.view = here
         if time.monotonic() - self._viewed > 0.5:
             self._viewed = time.monotonic()
+            self._put(self._begin)
             self._changed()
 
     def left(self, number: int) -> None:
         for known in (self.canvases, self.homes, self._framed, self._before):
             known.pop(number, None)
         self._taken.discard(number)
+        self._put(self._begin)
 
     # -- flights
 
@@ -214,6 +225,7 @@ class Eyes:
                 continue
             if action.what == "home":
                 self.view = ()
+                self._begin()
                 self._show_all(client, look)
             elif action.what == "through":
                 if (to := view_through(self._state(), action.name, look.aspect)) is not None:

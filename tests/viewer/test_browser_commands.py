@@ -391,5 +391,8 @@ def test_a_restart_reconnects_and_restores_the_state(session: Session, tmp_path_
                 for _ in range(6):
                     v.hotkey("Control+z")
                 v.wait_until(lambda: not second.state.work.off and not second.state.past, "undo of the edits before")
+                begin = second.server.initial_camera
+                v.hotkey("h")
+                v.wait_until(lambda: np.linalg.norm(begin.position - position) > 1, "newcomers to begin at home again")
     finally:
         first.close()
