@@ -353,7 +353,8 @@ def run(
 ) -> None:
     """Open a project in the browser and serve until interrupted (Ctrl+C). Raises BadProject, BadTable, Unsupported."""
     with App(folder, host=host, port=port, token=token) as app:
-        print(f"Collinea shows {app.state.block.name} at {app.url} (Ctrl+C ends it)", flush=True)
+        taken = "" if port in (0, app.port) else f"port {port} is taken; "
+        print(f"Collinea shows {app.state.block.name} at {app.url} ({taken}Ctrl+C ends it)", flush=True)
         if open_browser:
             import webbrowser
 

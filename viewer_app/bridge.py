@@ -73,7 +73,8 @@ def open_server(host: str = "127.0.0.1", port: int = 0, token: str | None = None
 
 def _hush() -> None:
     """viser says where it serves and that it stopped on standard output, even where verbose is False, the latter late and from a
-    thread of its own: there it would stand in the middle of our own answers."""
+    thread of its own: there it would stand in the middle of our own answers. And a browser that opens a connection ahead of need
+    and leaves it unused is no error, least of all with a traceback."""
     import rich
 
     real: Any = rich.print
@@ -86,6 +87,7 @@ def _hush() -> None:
             real(*said, **how)
 
     rich.print = without_viser
+    logging.getLogger("websockets.server").addFilter(lambda record: record.getMessage() != "opening handshake failed")
 
 
 class _Told(asyncio.Event):

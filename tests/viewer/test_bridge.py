@@ -23,7 +23,7 @@ from solvers import Unsupported
 from solvers.cli import main
 from tests.viewer.conftest import make_state
 from tests.viewer.sessions import DEMO
-from viewer_app.app import App
+from viewer_app.app import App, run
 from viewer_app.bridge import LOCAL_HOSTS, Server, known_version, open_server, parse, refuse
 
 
@@ -215,3 +215,24 @@ def test_a_message_pushed_while_a_connection_goes_to_sleep_wakes_it(plain: viser
         return await asyncio.wait_for(anext(windows), 5)
 
     assert len(asyncio.run(first())) == 1
+
+
+def test_a_connection_that_says_nothing_is_no_news(plain: viser.ViserServer, capfd: pytest.CaptureFixture[str]) -> None:
+    """Browsers open some ahead of need."""
+    for said in (b"", b"GET / HT"):
+        with socketlib.create_connection(("127.0.0.1", plain.get_port())) as silent:
+            silent.sendall(said)
+    assert get(plain.get_port()) == 200
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_port_that_is_taken_is_said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def opened(url: str) -> None:
+        raise RuntimeError(url)
+
+    monkeypatch.setattr("webbrowser.open", opened)
+    with socketlib.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        with pytest.raises(RuntimeError, match=r"http://127\.0\.0\.1:\d+"):
+            run(DEMO, port=port)
+    assert f"(port {port} is taken; Ctrl+C ends it)" in capsys.readouterr().out
