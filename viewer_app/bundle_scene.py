@@ -48,9 +48,9 @@ def scene(state: State) -> Scene:
     found |= _images(state, room, room.layout, row) | _held(state, room)
     if room.draw_points:
         found |= _points(state, room, room.layout, room.block, row)
-    if room.draw_vectors:
+    if room.draw_vectors and state.view.residuals:
         found |= _vectors(state, room.layout, room.block, row)
-    if room.draw_ellipsoids and judged(state) is not None:
+    if room.draw_ellipsoids and state.view.ellipsoids and judged(state) is not None:
         found |= _ellipsoids(state, room.layout, row)
     return found | bars(state)
 
@@ -125,7 +125,7 @@ def _images(state: State, room: Bundle, layout: Layout, row: Iteration) -> Scene
         fov, aspect = 2 * float(np.arctan(half[chosen, 1])), float(half[chosen, 0] / half[chosen, 1])
         image = photo.thumbnail if photo else None
         found["/bundle/chosen/camera"] = Frustum(exterior, fov, aspect, depth, colour, 3.0, image)
-        if room.draw_rays:
+        if room.draw_rays and state.view.rays:
             of = misfit(state)
             seen = np.zeros(0, int) if of is None else of.point[of.image == chosen][:2000]
             if len(seen):
@@ -332,9 +332,10 @@ def bars(state: State) -> Scene:
     if room.at(state.row) is None or room.layout is None or room.block is None:
         return found
     of = offsets(_at_last(state))
-    if room.draw_vectors and of is not None and np.abs(of[3][np.concatenate(of[:2])]).max(initial=0.0) > 1e-9:
+    moved = 0.0 if of is None else np.abs(of[3][np.concatenate(of[:2])]).max(initial=0.0)
+    if room.draw_vectors and state.view.residuals and moved > 1e-9:
         lines.append(("vectors", vector_factor(state), "corrections and errors"))
-    if room.draw_ellipsoids and judged(state) is not None:
+    if room.draw_ellipsoids and state.view.ellipsoids and judged(state) is not None:
         lines.append(("ellipsoids", ellipsoid_factor(state), "95 % ellipsoids"))
     for k, (name, factor, words) in enumerate(lines, 1 + bars_drawn(state)):
         length = fitting(corner(state)[1], factor)

@@ -82,7 +82,7 @@ POINT_COLUMNS = (
     Column("name", "point", "", "A click chooses the point and flies there."),
     Column("role", "role", "", "Control points orient the images, check points judge them; a click changes it."),
     Column("v", "v", "px", "Length of the residual in the chosen image by the perspective solution, observed − projected."),
-    Column("w", "w", "", "Largest standardized residual in the chosen image; above 3 a blunder is likely."),
+    Column("w", "w", "", "Largest standardized residual in the chosen image, at the last row; above 3 a blunder is likely."),
     *(
         Column(
             k,
@@ -171,7 +171,7 @@ def _point_rows(state: State) -> list[Row]:
         residuals = dict(zip(seen.names, np.linalg.norm(seen.residuals, axis=1).tolist(), strict=True))
     solution = state.solution(MODELS[0])
     w: dict[str, float] = {}
-    if solution and solution.orientation:
+    if solution and solution.orientation and state.row_of(solution) == len(solution.rows) - 1:
         found = solution.orientation
         w = dict(zip(found.points, np.abs(np.nan_to_num(found.w)).max(axis=1).tolist(), strict=True))
     rows = []

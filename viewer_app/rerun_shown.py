@@ -33,7 +33,8 @@ def shown(state: State) -> Shown:
 
 
 def bundle_shown(state: State) -> Shown:
-    """What the recording of the bundle has of it: as the tab Bundle has it, and the names as the tab Scene."""
+    """What the recording of the bundle has of it: what the tabs Bundle and Scene both show."""
     room, view = state.room(Bundle), state.view
-    hidden = {name for name in BUNDLE if not getattr(room, name)}
-    return Shown("", frozenset(hidden | ({"labels"} if not view.labels else set())), view.dark)
+    both = {"draw_points": room.draw_points, "draw_vectors": room.draw_vectors and view.residuals,
+            "draw_ellipsoids": room.draw_ellipsoids and view.ellipsoids, "labels": view.labels}
+    return Shown("", frozenset(name for name, there in both.items() if not there), view.dark)

@@ -17,7 +17,7 @@ from solvers.errors import BadProject
 from solvers.io import latest_run, write_project
 from solvers.workflows_bundle import StoppedRun, adjust_project
 from viewer_app.acting import update
-from viewer_app.actions import GoTo, SwitchPoint
+from viewer_app.actions import GoTo, Show, SwitchPoint
 from viewer_app.bundle_actions import (
     BundleCame,
     BundleFailed,
@@ -39,6 +39,7 @@ from viewer_app.bundle_tasks import tasks
 from viewer_app.panels.bundle import together
 from viewer_app.panels.bundle_plots import vectors_svg
 from viewer_app.panels.bundle_tables import two_runs
+from viewer_app.rerun_shown import bundle_shown
 from viewer_app.state import State
 from viewer_app.tabs import whole_scene
 from viewer_app.values import Ellipsoids, Frusta, Label, PointCloud, Segments
@@ -151,6 +152,16 @@ def test_the_scene_is_few_nodes_and_says_its_scales(done: State) -> None:
     both = whole_scene(update(done, SetBundle("alone", False)))
     assert "/bundle/images" in both and [path for path in both if path.startswith("/points")]
     assert not [p for p in bundle_scene(update(done, GoTo(0))) if "ellipsoid" in p]  # they hold for the end alone
+
+
+@pytest.mark.parametrize("layer, name", [("rays", "rays"), ("residuals", "vectors"), ("ellipsoids", "ellipsoids")])
+def test_the_scene_tab_hides_of_the_bundle_as_well(done: State, layer: str, name: str) -> None:
+    all_of, less = bundle_scene(done), bundle_scene(update(done, Show(layer, False)))
+    gone = set(all_of) - set(less)
+    assert gone >= {path for path in all_of if f"/{name}" in path} != set()
+    assert all(f"/{name}" in path or "scale" in path for path in gone)
+    hidden = bundle_shown(update(done, Show(layer, False))).hidden - bundle_shown(done).hidden
+    assert hidden == ({f"draw_{name}"} if name != "rays" else set())
 
 
 def test_many_images_are_one_batch(done: State) -> None:

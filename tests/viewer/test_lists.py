@@ -12,7 +12,7 @@ import pytest
 from tests.viewer.conftest import make_state
 from tests.viewer.test_actions import solve_all
 from viewer_app.acting import update
-from viewer_app.actions import ChoosePoint, Undo
+from viewer_app.actions import ChoosePoint, Step, Undo
 from viewer_app.actions_points import EditPoint, SwitchRole
 from viewer_app.flying import Fly, beside_panel, flight
 from viewer_app.home import PANEL
@@ -86,6 +86,8 @@ def test_rows_sort_up_down_and_as_in_the_file(solved: State) -> None:
     known = [r.values["w"] for r in by_residual if r.values["w"] == r.values["w"]]
     assert known == sorted(known) and len(known) < len(by_residual)
     assert all(np.isnan(r.values["w"]) for r in by_residual[len(known) :])
+    start = update(solved, Step("first"))  # standardized residuals are worked out at the end alone
+    assert all(np.isnan(r.values["w"]) for r in rows_of(start, "points")[0])
 
 
 def test_names_sort_as_people_count() -> None:
