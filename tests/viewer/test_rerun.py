@@ -275,7 +275,7 @@ def test_it_opens_with_space_photo_curves_normal_matrices_and_log(site: Site) ->
 def test_a_block_of_many_images_is_laid_out_about_the_chosen_one(site: Site) -> None:
     replay = Replay.of(site.orientations[0].trace, site.block, site.frame)
     many = [replace(replay, image=f"I{k}") for k in range(300)]
-    made = blueprint(many, site.frame.to_local(site.block.points.xyz), Shown("I290"))
+    made: Any = blueprint(many, site.frame.to_local(site.block.points.xyz), Shown("I290"))
     space, tabs = made.root_container.contents[0].contents[0], made.root_container.contents[1].contents
     assert [t.name for t in tabs[:12]] == [f"I{k % 300}" for k in range(290, 302)] and len(tabs) == TABS + 1
     out = [c for c in space.contents if c.endswith("/rays/**")]
