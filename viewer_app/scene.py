@@ -179,6 +179,20 @@ def vector_scale(state: State) -> float:
     return state.view.vectors if longest * state.view.vectors <= room else max(nice(room / longest), min(1.0, state.view.vectors))
 
 
+def shown_on_photo(state: State) -> Sight | None:
+    """The solution whose residuals are drawn on the photo: the first there is."""
+    return next((s for m in MODELS if (s := sight(state, m)) is not None), None)
+
+
+def photo_scale(state: State) -> float:
+    """The exaggeration of residual vectors on the photo: the one asked for, less while one would be longer than a fifth of it."""
+    seen, wish = shown_on_photo(state), state.view.photo_vectors
+    if seen is None:
+        return wish
+    longest, room = float(np.linalg.norm(np.nan_to_num(seen.residuals), axis=1).max(initial=0.0)), seen.interior.width / 5
+    return wish if longest * wish <= room else min(wish, max(nice(room / longest), 1.0))
+
+
 def frustum_depth(state: State) -> float:
     """Depth (m) at which image planes are drawn: a twelfth of the way to the ground, at least a tenth of the site; of what the
     images cover where no point is known."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..bundle_scene import alone
-from ..scene import vector_scale
+from ..scene import photo_scale, vector_scale
 from ..state import State
 from ..tabs import Desk, Tab
 from ..theme import CHECK, CONTROL, ORTHOGONAL, PERSPECTIVE, Colour, foreground, legend
@@ -48,7 +48,7 @@ def exaggerations(state: State) -> str:
     if alone(state):
         return "drawn: corrections and ellipsoids of the bundle as the bars in the scene say"
     return (
-        f"drawn: residuals on the ground × {vector_scale(state):g} · residuals on the photo × {state.view.photo_vectors:g} · "
+        f"drawn: residuals on the ground × {vector_scale(state):g} · residuals on the photo × {photo_scale(state):g} · "
         f"95 % ellipsoids × {max(state.view.ellipsoid, 1.0):g}"
     )
 

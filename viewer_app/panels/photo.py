@@ -11,7 +11,6 @@ import viser
 from ..actions import Action, Aim, Clicking, ForgetSpots, Place, Plot, Show, Unmark, UseBox
 from ..bridge import Wire
 from ..desktop import PHOTOS, Desktop, SizePhoto
-from ..ground import nice
 from ..loading import crop
 from ..next_point import NextPoint, expected
 from ..photo_view import (
@@ -29,9 +28,9 @@ from ..photo_view import (
     tasks,
     window,
 )
-from ..scene import Sight, sight
+from ..scene import Sight, photo_scale, shown_on_photo
 from ..spots import plotted
-from ..state import MODELS, Photo, State, Work
+from ..state import Photo, State, Work
 from ..tabs import Command, Desk, Tab
 from ..theme import CHECK, CONTROL, INITIAL, RESIDUAL
 from ..widths import picture_height
@@ -128,10 +127,10 @@ def photo_html(state: State, wire: Wire) -> str:
     if not state.block.images:
         return f"<div {BOX}>This project has no images yet.</div>"
     camera, has = state.block.camera_of(state.image), state.image in state.assets.photos
-    seen = next((s for m in MODELS if (s := sight(state, m)) is not None), None)
+    seen = shown_on_photo(state)
     shown = window(state)
     unit = shown.width / state.room(PhotoView).pane
-    scale = 0.0 if seen is None else _scale(state, seen)
+    scale, wish = photo_scale(state), state.view.photo_vectors
     shapes = _observations(state.work, state.image, state.point, unit, (shown.left, shown.top, shown.width, shown.height))
     shapes += "" if seen is None else _residuals(seen, scale, unit)
     if state.mark is not None:
@@ -157,7 +156,8 @@ def photo_html(state: State, wire: Wire) -> str:
         target = "no points yet: tie points come from the tab Matching"
     if state.click == "monoplot":
         target = "click for ground coordinates"
-    drawn = "" if scale == 0 else f"circle: observed · {swatch(RESIDUAL)}residual × {scale:g} · "
+    less = "" if scale == wish else f", × {wish:g} would be too long for the photo"
+    drawn = "" if seen is None else f"circle: observed · {swatch(RESIDUAL)}residual × {scale:g}{less} · "
     why = "No photo" if state.block.images[state.block.image_index(state.image)].file is None else "The photo is not read yet"
     missing = "" if has else f"<div {MUTED}>{why}: measurements only.</div>"
     return (
@@ -215,13 +215,6 @@ def _observations(work: Work, image: str, point: str | None, unit: float, box: t
             f'<title>{esc(name)}</title></circle>'
         )
     return "".join(shapes)
-
-
-def _scale(state: State, seen: Sight) -> float:
-    """The exaggeration drawn: the one asked for, less while vectors would be longer than a fifth of the photo."""
-    longest = float(np.linalg.norm(np.nan_to_num(seen.residuals), axis=1).max(initial=0.0))
-    room, wish = seen.interior.width / 5, state.view.photo_vectors
-    return wish if longest * wish <= room else min(wish, max(nice(room / longest), 1.0))
 
 
 def _residuals(seen: Sight, scale: float, unit: float) -> str:
