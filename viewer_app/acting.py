@@ -13,7 +13,11 @@ from .state import HISTORY, MODELS, State, Work
 
 
 class Action:
-    """Something that can happen; its kinds are frozen dataclasses."""
+    """Something that can happen; its kinds are frozen dataclasses. A person did it, unless it is a `Report`."""
+
+
+class Report(Action):
+    """What work, the clock or the page itself tells, and nothing a person did to the project: what was said last stays."""
 
 
 Handler = TypeVar("Handler", bound=Callable[[State, Any], State])
@@ -44,11 +48,17 @@ def undone(name: str, *kinds: type[Action], get: Callable[[State], Any], put: Ca
 
 
 def update(state: State, action: Action) -> State:
-    """The state after an action; the same state where the action means nothing (an unknown name, a value out of range)."""
+    """The state after an action; the same state where the action means nothing (an unknown name, a value out of range).
+
+    What was said before goes once a person does something, unless that says something itself.
+    """
     handler = HANDLERS.get(type(action))
     if handler is None:
         raise TypeError(f"nothing handles {type(action).__name__}")
-    after, name = handler(state, action), UNDONE.get(type(action))
+    silent = state if isinstance(action, Report) or not state.message else replace(state, message="")
+    after, name = handler(silent, action), UNDONE.get(type(action))
+    if after is silent:
+        return state
     if name is None or (before := CHOICES[name][0](state)) == CHOICES[name][0](after):
         return after
     return replace(after, past=(*after.past, replace(state.work, aside=(name, before)))[-HISTORY:], future=())

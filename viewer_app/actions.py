@@ -15,7 +15,7 @@ import numpy as np
 from solvers import Block
 from solvers.geometry import Surface
 
-from .acting import Action, edit, follow, handles, travel, update
+from .acting import Action, Report, edit, follow, handles, travel, update
 from .actions_measure import SPOTS, Aim, Clicking, ForgetSpots, Place, Plot, Unmark
 from .actions_solve import Advised, Cancel, Failed, Rows, Solve, Solved
 from .actions_trace import STEPS, GoTo, Play, Speed, Step, Tick
@@ -127,7 +127,7 @@ class Redo(Action):
 
 
 @dataclass(frozen=True)
-class Say(Action):
+class Say(Report):
     """instead: the words these replace; where others were said since, they stay."""
 
     message: str
@@ -135,7 +135,7 @@ class Say(Action):
 
 
 @dataclass(frozen=True, eq=False)
-class Saved(Action):
+class Saved(Report):
     """The block was written to the project's files."""
 
     block: Block
@@ -143,7 +143,7 @@ class Saved(Action):
 
 
 @dataclass(frozen=True, eq=False)
-class Brought(Action):
+class Brought(Report):
     """A photo, the terrain or the heights of the project's surface have been read."""
 
     what: Terrain | Photo | Surface
@@ -185,7 +185,8 @@ def _only(state: State, action: UseOnly | UseBox) -> State:
     control = {n for n, r in zip(points.names, points.role, strict=True) if r == "control"}
     if isinstance(action, UseOnly):
         meant = {n for n in control if any(fnmatchcase(n, pattern) for pattern in action.names)}
-        why = f"No control point is called {', '.join(action.names) or 'nothing'}; write names such as G01, G1*."
+        why = f"No control point is called {', '.join(action.names)}; write names such as G01, G1*."
+        why = why if action.names else "Name the control points to use, such as: G01, G1*."
     else:
         of, rows = block.observations, block.seen_in(state.image, ("control",)) if block.images else np.zeros(0, int)
         low, high = np.sort([[action.left, action.top], [action.right, action.bottom]], axis=0)

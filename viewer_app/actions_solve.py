@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from solvers.adjustment import Iteration, Trace
 from solvers.orientation import Advice, Orientation
 
-from .acting import Action, follow, handles
+from .acting import Action, Report, follow, handles
 from .scene import ellipsoid_scale
 from .state import MODELS, Job, Solution, State
 
@@ -23,7 +23,7 @@ class Cancel(Action):
 
 
 @dataclass(frozen=True, eq=False)
-class Rows(Action):
+class Rows(Report):
     """Rows of a running adjustment."""
 
     job: Job
@@ -31,20 +31,20 @@ class Rows(Action):
 
 
 @dataclass(frozen=True, eq=False)
-class Solved(Action):
+class Solved(Report):
     job: Job
     trace: Trace
     orientation: Orientation
 
 
 @dataclass(frozen=True, eq=False)
-class Advised(Action):
+class Advised(Report):
     job: Job
     advice: Advice
 
 
 @dataclass(frozen=True, eq=False)
-class Failed(Action):
+class Failed(Report):
     job: Job
     why: str
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from .acting import Action, at_row, handles
+from .acting import Action, Report, at_row, handles
 from .state import State
 
 STEPS = ("first", "previous", "next", "last")
@@ -27,7 +27,7 @@ class Play(Action):
 
 
 @dataclass(frozen=True)
-class Tick(Action):
+class Tick(Report):
     """The clock while playing."""
 
 

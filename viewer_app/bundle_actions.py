@@ -8,7 +8,7 @@ from typing import Any
 from solvers.adjustment import Iteration
 from solvers.cameras import PARAMETERS
 
-from .acting import Action, follow, handles, undone
+from .acting import Action, Report, follow, handles, undone
 from .bundle_state import Bundle, Held, allowed, asked_of, taking_part
 from .bundle_values import Ended, Judged, Kept, Layout, stopped_at
 from .state import State
@@ -71,7 +71,7 @@ class KeepBundle(Action):
 
 
 @dataclass(frozen=True, eq=False)
-class BundleCame(Action):
+class BundleCame(Report):
     """Something of the run `serial`: words, how rows are read, a row, what the end is worth, or where it was kept."""
 
     serial: int
@@ -79,7 +79,7 @@ class BundleCame(Action):
 
 
 @dataclass(frozen=True)
-class BundleFailed(Action):
+class BundleFailed(Report):
     serial: int
     why: str
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from .acting import Action, handles
+from .acting import Action, Report, handles
 from .state import State
 
 FITS = "fits the page"
@@ -35,7 +35,7 @@ class Desktop:
 
 
 @dataclass(frozen=True)
-class OpenedTab(Action):
+class OpenedTab(Report):
     """Somebody opened a tab of a place, "side" or "below"."""
 
     place: str

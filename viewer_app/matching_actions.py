@@ -11,7 +11,7 @@ from solvers import Block
 from solvers.block import Observations, Points
 from solvers.matching.ties import SIGMA_PX
 
-from .acting import Action, edit, handles, undone
+from .acting import Action, Report, edit, handles, undone
 from .matching_state import COLOURS, SIDES, Ask, Found, Look, Matching, Network
 from .sighting import exterior_of, sees, where
 from .state import State
@@ -109,12 +109,12 @@ class Start(Action):
 
 
 @dataclass(frozen=True, eq=False)
-class Matched(Action):
+class Matched(Report):
     found: Found
 
 
 @dataclass(frozen=True)
-class Working(Action):
+class Working(Report):
     """How far the long work is; task "" when it ended."""
 
     task: str
@@ -122,7 +122,7 @@ class Working(Action):
 
 
 @dataclass(frozen=True, eq=False)
-class Tied(Action):
+class Tied(Report):
     """Tie points were found: the block `before` with them is `block`."""
 
     before: Block
@@ -131,12 +131,12 @@ class Tied(Action):
 
 
 @dataclass(frozen=True, eq=False)
-class Placed(Action):
+class Placed(Report):
     network: Network
 
 
 @dataclass(frozen=True)
-class Sharper(Action):
+class Sharper(Report):
     """A finer picture of a photo has been read."""
 
 

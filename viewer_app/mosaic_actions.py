@@ -12,7 +12,7 @@ from solvers import Block
 from solvers.mosaic import seen_by
 
 from . import matching_actions as matching
-from .acting import Action, edit, handles, undone, update
+from .acting import Action, Report, edit, handles, undone, update
 from .matching_state import Matching
 from .mosaic_state import (
     BLENDS,
@@ -103,12 +103,12 @@ class WriteMosaic(Action):
 
 
 @dataclass(frozen=True, eq=False)
-class Registered(Action):
+class Registered(Report):
     made: Made
 
 
 @dataclass(frozen=True, eq=False)
-class TilesCame(Action):
+class TilesCame(Report):
     """Tiles of the mosaic made by a method; last: there are no more."""
 
     method: str
@@ -117,7 +117,7 @@ class TilesCame(Action):
 
 
 @dataclass(frozen=True, eq=False)
-class TiesFound(Action):
+class TiesFound(Report):
     """Tie points that a mosaic needed: the block `before` with them is `block`."""
 
     before: Block
@@ -126,12 +126,12 @@ class TiesFound(Action):
 
 
 @dataclass(frozen=True)
-class Progressing(Action):
+class Progressing(Report):
     words: str
 
 
 @dataclass(frozen=True)
-class Ended(Action):
+class Ended(Report):
     """Work ended: of a method, of the layer or of writing; words: what came of it, or why nothing did. file: one was written."""
 
     what: str
@@ -140,7 +140,7 @@ class Ended(Action):
 
 
 @dataclass(frozen=True, eq=False)
-class LayerCame(Action):
+class LayerCame(Report):
     layer: Layer
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from solvers.io.pyramid import build_pyramid, pyramid_path, read_window, resampled
 
-from .acting import Action, handles
+from .acting import Action, Report, handles
 from .actions import Say
 from .sighting import sees, where
 from .state import Photo, State
@@ -59,7 +59,7 @@ class ZoomPhoto(Action):
 
 
 @dataclass(frozen=True)
-class DrawnPhoto(Action):
+class DrawnPhoto(Report):
     """A browser drew the pane so many pixels of the page wide, each of them `dense` pixels of its screen."""
 
     pane: float
@@ -85,7 +85,7 @@ class ZoomToMark(Action):
 
 
 @dataclass(frozen=True)
-class PyramidReady(Action):
+class PyramidReady(Report):
     image: str
 
 

@@ -98,6 +98,7 @@ def test_control_is_chosen_by_name(state: State) -> None:
     assert set(update(state, UseOnly(("G01", "G1*"))).control()) == {"G01", "G10", "G12", "G13", "G14", "G15"}
     nobody = update(state, UseOnly(("X?",)))
     assert nobody.work is state.work and "X?" in nobody.message
+    assert update(state, UseOnly(())).message == "Name the control points to use, such as: G01, G1*."
 
 
 def test_control_is_chosen_by_a_rectangle_on_the_photo(state: State) -> None:

@@ -51,7 +51,7 @@ def kinds_of(kind: type) -> set[type]:
 
 def test_every_action_is_handled() -> None:
     ours = {kind for kind in kinds_of(Action) if kind.__module__.startswith("viewer_app.")}
-    assert len(ours) > 30 and ours <= set(HANDLERS)
+    assert len(ours) > 30 and {kind for kind in ours if not kind.__subclasses__()} <= set(HANDLERS)
 
 
 def test_an_action_nobody_handles_is_an_error(state: State) -> None:
