@@ -12,6 +12,15 @@ FIELDS = ("X", "Y", "Z", "sX", "sY", "sZ")
 """Editable numbers of a point: map coordinates and their standard errors, metres."""
 FARTHEST = 1e8
 """No coordinate on earth is larger, metres."""
+FINEST = 1e-6
+"""No standard error of a point is smaller, metres."""
+
+
+@dataclass(frozen=True)
+class Refused:
+    """How many numbers were refused so far: whenever that changes the boxes are drawn anew, with what holds."""
+
+    count: int = 0
 
 
 @dataclass(frozen=True)
@@ -38,12 +47,12 @@ def _edit_point(state: State, action: EditPoint) -> State:
     value = number(action.text)
     sigma = action.field.startswith("s")
     if not math.isfinite(value) and action.text.strip():
-        return replace(state, message=f"{action.point} {action.field}: '{action.text[:30]}' is not a number; write metres.")
+        return _refused(state, f"{action.point} {action.field}: '{action.text[:30]}' is not a number; write metres.")
     if math.isnan(value) and not sigma:
-        return replace(state, message=f"{action.point} {action.field}: a coordinate cannot be empty; write metres.")
-    if (sigma and value <= 0) or abs(value) > FARTHEST:
-        wanted = "more than 0 and at most 1e8 m" if sigma else "a coordinate of at most 1e8 m"
-        return replace(state, message=f"{action.point} {action.field}: {value:g} does not do; write {wanted}.")
+        return _refused(state, f"{action.point} {action.field}: a coordinate cannot be empty; write metres.")
+    if (sigma and value < FINEST) or abs(value) > FARTHEST:
+        wanted = "at least 1e-6 m and at most 1e8 m" if sigma else "a coordinate of at most 1e8 m"
+        return _refused(state, f"{action.point} {action.field}: {value:g} does not do; write {wanted}.")
     j, axis = state.block.point_index(action.point), FIELDS.index(action.field) % 3
     old = points.sigma if sigma else points.xyz
     if old[j, axis] == value or (math.isnan(value) and math.isnan(old[j, axis])):
@@ -52,6 +61,10 @@ def _edit_point(state: State, action: EditPoint) -> State:
     new[j, axis] = value
     changed = replace(points, sigma=new) if sigma else replace(points, xyz=new)
     return edit(replace(state, point=action.point), block=replace(state.block, points=changed))
+
+
+def _refused(state: State, why: str) -> State:
+    return replace(state.with_room(Refused(state.room(Refused).count + 1)), message=why)
 
 
 @handles(SwitchRole)

@@ -376,14 +376,15 @@ class Wire:
         )
 
     def field(self, kind: str, value: list[str], text: str, hint: str, focus: str, width: int) -> str:
-        """A small text box that says value with the text typed; without a wire the text alone. width: pixels of the page."""
+        """A small text box that says value with the text typed; without a wire the text alone. width: digits it shows at least;
+        in a table it fills its column."""
         if not self.works:
             return html.escape(text)
         return (
             f'<input type="text" value="{html.escape(text)}" aria-label="{html.escape(hint)}" data-kind="{html.escape(kind)}" '
             f'data-value="{html.escape(json.dumps(value))}" {_focus(focus)}onkeydown="collinea.typed(event)" '
-            f'onchange="collinea.change(event)" style="width:{width}px;font:inherit;color:inherit;text-align:right;'
-            'border:1px solid rgba(128,128,128,.25);border-radius:3px;background:transparent;padding:0 2px">'
+            f'onchange="collinea.change(event)" style="width:calc({width}ch + 6px);min-width:100%;font:inherit;color:inherit;'
+            'text-align:right;border:1px solid rgba(128,128,128,.25);border-radius:3px;background:transparent;padding:0 2px">'
         )
 
     def surface(self, kind: str) -> str:

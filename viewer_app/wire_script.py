@@ -157,7 +157,8 @@ window.collinea = (() => {
   const down = ev => {
     if (ev.button > 1) return;
     const pan = ev.shiftKey || ev.button === 1, moved = ev.currentTarget;
-    ev.preventDefault();
+    ev.preventDefault();  // with it a browser leaves the focus where it is: a photo takes none, but keys mean it from now on
+    document.activeElement?.blur();
     let dragged = false;
     const kind = ev.currentTarget.dataset.kind, r = ev.currentTarget.getBoundingClientRect(), from = place(ev, r);
     let box = null;

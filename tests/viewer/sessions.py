@@ -14,8 +14,11 @@ import numpy as np
 from tests.browser import PATIENCE, ViserPage, require_chromium, viser_page
 from viewer_app.actions import Action, Show
 from viewer_app.app import App
+from viewer_app.desktop import Desktop
 from viewer_app.paint_viser import frustum_pose
 from viewer_app.panels.share import file_name
+from viewer_app.photo_view import PhotoView
+from viewer_app.widths import EDGE, photo_width
 
 DEMO = Path(__file__).resolve().parents[2] / "assets" / "demo"
 HEAVY = ("terrain", "labels", "photos", "ellipsoids")
@@ -101,6 +104,18 @@ def until(app: App, v: ViserPage, predicate: Callable[[], Any], what: str, timeo
     """Until something that was not so when a key, click or drag was given is so, and all that follows from it is shown."""
     v.wait_until(predicate, what, timeout)
     settle(app, v)
+
+
+def photo_drawn(app: App, v: ViserPage) -> None:
+    """Until the viewer knows how wide the browser draws the photo, and that is as wide as it should be."""
+
+    def known() -> bool:
+        canvas = v.page.evaluate("() => [window.__viserMutable.canvas.clientWidth, window.__viserMutable.canvas.clientHeight]")
+        wanted = photo_width(app.state.room(Desktop).photo, canvas, 1.5) - EDGE
+        width = v.box(v.page.get_by_role("img", name="Photo "))["width"]
+        return abs(width - wanted) < 2 and abs(app.state.room(PhotoView).pane - width) < 0.01
+
+    until(app, v, known, "the photo to be drawn")
 
 
 def camera_path(app: App, model: str = "perspective", image: str | None = None) -> str:

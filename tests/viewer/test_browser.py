@@ -26,6 +26,7 @@ from tests.viewer.sessions import (
     framed,
     has_pose,
     keys_work,
+    photo_drawn,
     settle,
     until,
 )
@@ -38,13 +39,13 @@ from viewer_app.flying import Fly
 from viewer_app.looking import Looking, looked_through
 from viewer_app.paint_viser import frustum_pose
 from viewer_app.panels.widgets import css
-from viewer_app.photo_view import PhotoView, ShowWhole, ZoomToMark, percent, window
+from viewer_app.photo_view import ShowWhole, ZoomToMark, percent, window
 from viewer_app.picking import pick
 from viewer_app.scene import frustum_depth, scene, sight, vector_scale
 from viewer_app.spots import plotted
 from viewer_app.state import COMPARED
 from viewer_app.values import Segments
-from viewer_app.widths import EDGE, FULL, OVER, photo_width
+from viewer_app.widths import EDGE, FULL, OVER
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(400)]
 
@@ -469,7 +470,7 @@ def test_a_point_is_measured_on_the_photo_to_half_a_pixel(session: Session) -> N
     target = of.pixel[(of.image == i) & (of.point == j)][0] + [7.0, -5.0]
     act(app, v, ChoosePoint(name))
     v.open_tab("Photo")
-    drawn(app, v)
+    photo_drawn(app, v)
     camera = state.block.camera_of(state.image)
     picture = v.page.get_by_role("img", name="Photo " + state.image)
     picture.wait_for()
@@ -512,7 +513,7 @@ def test_the_photo_is_zoomed_to_800_percent_and_a_mark_set_to_a_tenth_of_a_pixel
     j = state.block.point_index(name)
     row = next(r for r in state.block.seen_in(state.image) if state.block.observations.point[r] == j)
     act(app, v, ChoosePoint(name))
-    drawn(app, v)
+    photo_drawn(app, v)
     received = v.log.bytes_received
     v.click_button("800 %")
     until(app, v, lambda: percent(app.state) > 799, "the zoom")
@@ -546,12 +547,12 @@ def test_the_photo_takes_as_much_of_the_page_as_one_wants(session: Session) -> N
     v.hotkey("v")  # opens the tab; the photo is as large as it was left
     picture = v.page.get_by_role("img", name="Photo ")
     picture.wait_for()
-    drawn(app, v)
+    photo_drawn(app, v)
     large, received = v.box(picture), v.log.bytes_received
     assert app.state.room(Desktop).photo == "large" and large["width"] > 1200
     v.hotkey("v")
     until(app, v, lambda: app.state.room(Desktop).photo == "whole scene", "the whole scene")
-    drawn(app, v)
+    photo_drawn(app, v)
     whole = v.box(picture)
     assert whole["width"] > large["width"] + 150 and whole["height"] > 0.7 * 1440 and 2560 - FULL - whole["width"] < 250
     last = v.box(v.page.get_by_role("button", name="Drop mark"))
@@ -576,24 +577,12 @@ def test_the_photo_takes_as_much_of_the_page_as_one_wants(session: Session) -> N
     v.click_button("Drop mark")
     v.hotkey("v")
     until(app, v, lambda: app.state.room(Desktop).photo == "small", "the small photo")
-    drawn(app, v)
+    photo_drawn(app, v)
     assert v.box(picture)["width"] == OVER - EDGE
     act(app, v, ShowWhole(), SizePhoto("large"), ChoosePoint(None))
     v.open_tab("Iterations")
     v.page.set_viewport_size(before)
     v.wait_until(lambda: framed(app, v), "the view beside the panels")
-
-
-def drawn(app: App, v: ViserPage) -> None:
-    """Until the viewer knows how wide the browser draws the photo, and that is as wide as it should be."""
-
-    def known() -> bool:
-        canvas = v.page.evaluate("() => [window.__viserMutable.canvas.clientWidth, window.__viserMutable.canvas.clientHeight]")
-        wanted = photo_width(app.state.room(Desktop).photo, canvas, 1.5) - EDGE
-        width = v.box(v.page.get_by_role("img", name="Photo "))["width"]
-        return abs(width - wanted) < 2 and abs(app.state.room(PhotoView).pane - width) < 0.01
-
-    until(app, v, known, "the photo to be drawn")
 
 
 def sent_width(v: ViserPage) -> int:
@@ -608,7 +597,7 @@ def sent_width(v: ViserPage) -> int:
 def test_wheel_and_shift_drag_move_about_the_photo(session: Session) -> None:
     app, v = session
     v.open_tab("Photo")
-    drawn(app, v)
+    photo_drawn(app, v)
     camera = app.state.block.camera_of(app.state.image)
     picture = v.page.get_by_role("img", name="Photo ")
     box = v.box(picture)
@@ -640,7 +629,7 @@ def test_a_click_gives_ground_coordinates(session: Session) -> None:
     """A click on a measured control point's image: its ground coordinates, to what half a pixel of the page allows."""
     app, v = session
     v.open_tab("Photo")
-    drawn(app, v)
+    photo_drawn(app, v)
     v.choose("A click", "gives ground coordinates")
     until(app, v, lambda: app.state.click == "monoplot" and app.state.assets.surface is not None, "the mode")
     block, name = app.state.block, app.state.control()[0]
@@ -669,7 +658,7 @@ def test_a_click_gives_ground_coordinates(session: Session) -> None:
 def test_a_rectangle_on_the_photo_chooses_control_and_all_solutions_stand_beside_each_other(session: Session) -> None:
     app, v = session
     v.open_tab("Photo")
-    drawn(app, v)
+    photo_drawn(app, v)
     block, image = app.state.block, app.state.image
     picture = v.page.get_by_role("img", name="Photo ")
     picture.wait_for()

@@ -9,15 +9,20 @@ import pytest
 from playwright.sync_api import Locator
 
 from tests.browser import ViserPage
-from tests.viewer.sessions import Session, act, demo_session, settle, until
+from tests.viewer.sessions import Session, act, demo_session, photo_drawn, settle, until
 from viewer_app.actions import ChooseImage, ChoosePoint, SwitchPoint, Undo
+from viewer_app.actions_points import EditPoint, Refused
 from viewer_app.desktop import FITS, Desktop
 from viewer_app.flying import BESIDE
 from viewer_app.home import PANEL
 from viewer_app.lists import SortBy, rows_of
 from viewer_app.panels.widgets import MORE
+from viewer_app.photo_view import ShowWhole, percent
 from viewer_app.scene import sight
 from viewer_app.widths import FULL, NARROW
+
+SKY = """() => { const r = window.__viserMutable.canvas.getBoundingClientRect(); return [r.x + 0.7 * r.width, r.y + 12]; }"""
+"""A place of the canvas where nothing is drawn and no panel lies."""
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(200)]
 
@@ -118,17 +123,74 @@ def test_a_standard_error_typed_solves_again(session: Session) -> None:
     assert app.state.solution("perspective") is old  # brought back, not solved anew
     v.hotkey("Control+y")
     v.wait_until(lambda: app.state.block.points.sigma[j, 2] == 0.5 and box.input_value() == "0.5", "redo")
+    v.hotkey("Control+z")
+    v.wait_until(lambda: app.state.block.points.sigma[j, 2] != 0.5 and box.input_value() != "0.5", "undo again")
+    settle(app, v)  # the table has the focus again
+    v.hotkey("Control+Shift+Z")
+    v.wait_until(lambda: app.state.block.points.sigma[j, 2] == 0.5, "redo by the other key")
 
 
-def test_nonsense_typed_is_a_sentence(session: Session) -> None:
+def test_nonsense_typed_is_a_sentence_and_the_box_shows_what_holds(session: Session) -> None:
     app, v = session
-    name = app.state.control()[1]
+    name, other = app.state.control()[1:3]
     box = table(v).locator(f"input[data-focus='points/X/{name}']")
+    holds = box.input_value()
     box.fill("<b>here")
     box.press("Enter")
     v.wait_until(lambda: app.state.message.startswith(f"{name} X: '<b>here' is not a number"), "the sentence")
+    v.wait_until(lambda: box.input_value() == holds and focused(v) == f"points/X/{name}", "the number that holds")
     v.open_tab("Orientation")
     v.page.get_by_text(f"{name} X: '<b>here' is not a number").wait_for()
+    v.open_tab("Points")
+    box.fill("67935")
+    act(app, v, EditPoint(other, "sX", "-1"))  # another box's refusal overwrites nobody who is typing
+    v.wait_until(lambda: v.page.locator(f"[data-refused='{app.state.room(Refused).count}']").count() == 1, "the boxes drawn anew")
+    v.wait_until(lambda: box.input_value() == "67935" and focused(v) == f"points/X/{name}", "what was being typed")
+    box.press("Escape")
+    v.wait_until(lambda: box.input_value() == holds, "the number that holds")
+
+
+def test_a_click_on_the_photo_or_the_scene_leaves_the_box_and_keys_mean_the_photo(session: Session) -> None:
+    app, v = session
+    name = app.state.control()[1]
+    j, before = app.state.block.point_index(name), len(app.state.block.observations)
+    dark, sigma = v.page.get_by_label("Dark", exact=True), app.state.block.points.sigma[:, 0]
+    act(app, v, ChoosePoint(name))
+    v.open_tab("Photo")
+    photo_drawn(app, v)
+    box, photo = table(v).locator(f"input[data-focus='points/sX/{name}']"), v.page.get_by_role("img", name="Photo ")
+
+    def click_photo(share: float) -> None:
+        at = v.box(photo)
+        v.page.mouse.click(at["x"] + share * at["width"], at["y"] + 0.5 * at["height"])
+
+    box.click()
+    box.fill("0.75")
+    click_photo(0.3)
+    until(app, v, lambda: app.state.mark is not None and app.state.block.points.sigma[j, 0] == 0.75, "the number and the mark")
+    mark = app.state.mark
+    assert focused(v) == ""
+    v.page.keyboard.press("m")
+    until(app, v, lambda: app.state.mark is None, "the mark to be placed")
+    of = app.state.block.observations
+    assert mark and len(of) == before and [mark.col, mark.row] in of.pixel[of.point == j].tolist()
+    assert box.input_value() == "0.75"
+    v.open_tab("Project")
+    dark.focus()
+    click_photo(0.3)
+    until(app, v, lambda: app.state.mark is not None, "another mark")
+    v.page.keyboard.press("m")
+    until(app, v, lambda: app.state.mark is None, "the other mark to be placed")
+    v.open_tab("Points")
+    box.click()
+    box.fill("0.5")
+    v.page.mouse.click(*v.page.evaluate(SKY))
+    until(app, v, lambda: app.state.block.points.sigma[j, 0] == 0.5, "the number")
+    assert v.page.evaluate("() => document.activeElement === document.body")
+    v.page.keyboard.press("8")
+    until(app, v, lambda: percent(app.state) > 700, "the photo at 800 %")
+    assert box.input_value() == "0.5" and np.array_equal(np.delete(app.state.block.points.sigma[:, 0], j), np.delete(sigma, j))
+    act(app, v, ShowWhole())
 
 
 def test_the_keyboard_alone_walks_switches_and_edits(session: Session) -> None:
@@ -248,6 +310,8 @@ def test_a_name_flies_there_in_the_browser_that_asked(session: Session) -> None:
         return app.state.point == name and bool(np.allclose(v.project(at), [beside, height / 2], atol=1))
 
     v.wait_until(there, "the flight")
+    wider = "e => e.scrollWidth - e.clientWidth"
+    assert [box.evaluate(wider) for box in v.page.locator(f"tr[data-row='{name}'] input").all()] == [0] * 6
 
 
 def test_a_page_says_how_large_it_is_once_the_viewer_knows_it(session: Session) -> None:

@@ -13,7 +13,7 @@ from tests.viewer.conftest import make_state
 from tests.viewer.test_actions import solve_all
 from viewer_app.acting import update
 from viewer_app.actions import ChoosePoint, Step, Undo
-from viewer_app.actions_points import EditPoint, SwitchRole
+from viewer_app.actions_points import EditPoint, Refused, SwitchRole
 from viewer_app.flying import Fly, beside_panel, flight
 from viewer_app.home import PANEL
 from viewer_app.lists import COLUMNS, ShowRows, SortBy, as_csv, rows_of, sort_key
@@ -48,11 +48,18 @@ def test_a_standard_error_is_edited_and_emptied(solved: State) -> None:
 
 @pytest.mark.parametrize(
     ("field", "text"),
-    [("X", "abc"), ("X", ""), ("Z", "nan"), ("Y", "inf"), ("X", "1e300"), ("sX", "0"), ("sZ", "-1"), ("sY", "twelve")],
+    [("X", "abc"), ("X", ""), ("Z", "nan"), ("Y", "inf"), ("X", "1e300"), ("sX", "0"), ("sZ", "-1"), ("sY", "twelve"),
+     ("sX", "1e-300"), ("sX", "9e-7"), ("sX", "1e9")],
 )
 def test_nonsense_is_a_sentence_and_no_edit(solved: State, field: str, text: str) -> None:
     now = update(solved, EditPoint("G03", field, text))
     assert now.work is solved.work and now.message.startswith(f"G03 {field}: ")
+    assert now.room(Refused) != solved.room(Refused) != update(now, EditPoint("G03", field, text)).room(Refused)
+
+
+def test_the_smallest_standard_error_there_may_be_is_taken(solved: State) -> None:
+    now = update(solved, EditPoint("G03", "sX", "1e-6"))
+    assert now.block.points.sigma[now.block.point_index("G03"), 0] == 1e-6 and now.room(Refused) == Refused()
 
 
 @pytest.mark.parametrize(

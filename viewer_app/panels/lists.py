@@ -14,7 +14,7 @@ import viser
 
 from ..acting import Action
 from ..actions import SwitchPoint
-from ..actions_points import EditPoint, SwitchRole
+from ..actions_points import EditPoint, Refused, SwitchRole
 from ..bridge import Wire
 from ..flying import Fly
 from ..lists import COLUMNS, MOST, Column, Row, ShowRows, SortBy, Tables, as_csv, rows_of
@@ -54,7 +54,8 @@ class PointsPanel:
         if not len(state.block.points):
             self._table.set(f"<div {BOX}><div {MUTED}>{NONE}</div></div>")
             return
-        self._table.set(f"<div {BOX}>{head}{table_html(state, 'points', self._desk.wire)}<div {MUTED}>{hint}</div></div>")
+        anew = f'data-refused="{state.room(Refused).count}"'
+        self._table.set(f"<div {BOX} {anew}>{head}{table_html(state, 'points', self._desk.wire)}<div {MUTED}>{hint}</div></div>")
 
 
 class ImagesPanel:
@@ -159,7 +160,7 @@ def _point_cells(row: Row, columns: tuple[Column, ...], wire: Wire) -> str:
     for column in columns[5:11]:
         value, sigma = v[column.key], column.key.startswith("s")
         text = "" if math.isnan(value) else f"{value:.6g}" if sigma else f"{value:.3f}"
-        focus, width = f"points/{column.key}/{name}", 44 if sigma else 84
+        focus, width = f"points/{column.key}/{name}", max(len(text) + 1, 5)
         cells.append(_td(wire.field("edit", [name, column.key], text, f"{name} {column.key} in metres", focus, width)))
     return "".join(cells) + _td(esc(v["group"]), True)
 

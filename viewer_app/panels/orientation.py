@@ -36,7 +36,7 @@ class OrientationPanel:
         )
         bind(self._group, emit, lambda value: UsePoints("" if value == EVERY else value) if value != SOME else None)
         buttons = gui.add_button_group(
-            "Solution", BUTTONS, hint="Every change solves at once; Ctrl+Z and Ctrl+Y undo and redo changes."
+            "Solution", BUTTONS, hint="Every change solves at once; Ctrl+Z and Ctrl+Y (or Ctrl+Shift+Z) undo and redo changes."
         )
         actions = dict(zip(BUTTONS, (Solve(), Cancel(), Undo(), Redo()), strict=True))
 
@@ -149,6 +149,7 @@ TAB = Tab(
     commands=(
         Command("Undo", Undo(), "Z", "cmd/ctrl", "Take back the last change."),
         Command("Redo", Redo(), "Y", "cmd/ctrl", "Bring back the change taken back last."),
+        Command("Redo, other key", Redo(), "Z", "cmd/ctrl+shift", "The same as Redo."),
         Command("Solve again", Solve(), "enter", "cmd/ctrl", "Solve everything anew."),
         Command("Cancel solving", _escape, "escape", hint="Stop; the next change solves again. Looking through a photo: back."),
     ),

@@ -20,7 +20,8 @@ class StatusLine:
 
     def draw(self, state: State) -> None:
         larger = esc(" · ".join(exaggerated(state)))
-        line = f'<div style="padding:0 12px;font-size:12px" aria-label="Drawn larger"><span {MUTED}>drawn: {larger}</span></div>'
+        style = 'style="padding:0 12px 10px;font-size:12px"'
+        line = f'<div {style} aria-label="Drawn larger"><span {MUTED}>drawn: {larger}</span></div>'
         line = line if larger else ""
         self._text.set(status(state, lambda todo: self._left(state.work.revision, todo), line))
 
