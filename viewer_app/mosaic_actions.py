@@ -161,7 +161,8 @@ def _make(state: State, action: MakeMosaic | CancelMosaic) -> State:
     room = state.room(Mosaic)
     if isinstance(action, CancelMosaic):
         stay = {m: a for m, a in room.wanted.items() if m in room.made and room.made[m].done and room.made[m].ask == a}
-        return state.with_room(replace(room, wanted=stay, busy=(), progress="", message="Cancelled."))
+        wrote = "Cancelled." if any(b.startswith("write|") for b in room.busy) else room.wrote
+        return state.with_room(replace(room, wanted=stay, busy=(), progress="", message="Cancelled.", wrote=wrote))
     if action.method not in (*METHODS, "both"):
         return state
     if state.assets.folder is None:
@@ -268,9 +269,10 @@ def _file(state: State, action: OpenLayer | WriteMosaic) -> State:
     if what == "layer" and not action.path:
         return state.with_room(replace(room, layer=None, under="", busy=tuple(b for b in room.busy if not b.startswith("layer"))))
     if room.current is None or not room.current.done:
-        return state.with_room(replace(room, message="There is no finished mosaic yet; make one first."))
+        why = "There is no finished mosaic yet; make one first."
+        return state.with_room(replace(room, message=why, wrote=why if what == "write" else room.wrote))
     busy = (*(b for b in room.busy if not b.startswith(what)), f"{what}|{action.path}")
-    room = replace(room, under=action.path) if what == "layer" else room
+    room = replace(room, under=action.path) if what == "layer" else replace(room, wrote="")
     return state.with_room(replace(room, busy=busy, message="", progress=""))
 
 
@@ -322,6 +324,8 @@ def _ended(state: State, action: Ended) -> State:
     room = replace(
         room, busy=tuple(b for b in room.busy if b.partition("|")[0] != action.what), progress="", message=action.words
     )
+    if action.what == "write":
+        room = replace(room, wrote=action.words)
     if action.file:
         room = replace(room, written=room.written + 1)
     if action.what in METHODS:  # it failed: not to be asked again before something changes

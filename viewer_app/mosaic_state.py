@@ -106,7 +106,7 @@ class Mosaic:
     """ask: what the controls say. wanted: the mosaics to be made, by method; made: those that are there. shown: which of them,
     how (swipe: 0..1 from the west, or how far the fade is); row: of the trace (None: the end). click: what a click on the mosaic
     means. places: measured ones (x, y), mosaic plane. under: file of the layer asked for. exaggeration 0: made to fit. busy: what
-    is being written or compared. written: how many files were."""
+    is being written or compared. written: how many files were; wrote: what came of the last."""
 
     ask: Ask = Ask()
     wanted: Mapping[str, Ask] = field(default_factory=dict)
@@ -128,6 +128,7 @@ class Mosaic:
     busy: tuple[str, ...] = ()
     progress: str = ""
     message: str = ""
+    wrote: str = ""
     conjugate: tuple[str, float, float] | None = None
     written: int = 0
 

@@ -31,6 +31,7 @@ from viewer_app.mosaic_actions import (
     Look,
     MakeMosaic,
     OpenLayer,
+    Progressing,
     WriteMosaic,
 )
 from viewer_app.mosaic_layer import assembled, csv_of, offsets
@@ -39,7 +40,15 @@ from viewer_app.mosaic_state import Layer, Mosaic
 from viewer_app.mosaic_tasks import tasks
 from viewer_app.mosaic_work import MOST, request_of
 from viewer_app.panels.mosaic import on_click
-from viewer_app.panels.mosaic_words import drift_html, layer_html, measured_html, progress_html, residuals_html, summary_html
+from viewer_app.panels.mosaic_words import (
+    drift_html,
+    layer_html,
+    measured_html,
+    progress_html,
+    residuals_html,
+    summary_html,
+    written_html,
+)
 from viewer_app.rerun_mosaic import pieces
 from viewer_app.session import from_json, to_json
 from viewer_app.state import State
@@ -258,6 +267,10 @@ def test_a_conjugate_point_enters_the_block_and_only_what_moved_is_made_anew(bot
 def test_a_map_is_compared_and_its_shift_found(both: State, folder: Path) -> None:
     state = work(update(both, WriteMosaic("ours.png")))
     assert (folder / "ours.png").is_file() and (folder / "ours.pgw").is_file() and "px of" in room(state).message
+    assert room(state).wrote == room(state).message and room(state).wrote in written_html(room(state))
+    asked = update(state, WriteMosaic("ours.tif"))
+    assert "starting…" in written_html(room(asked)) and "tile 3…" in written_html(room(update(asked, Progressing("tile 3"))))
+    assert "Cancelled." in written_html(room(update(asked, CancelMosaic())))
     state = work(update(state, WriteMosaic("ours.tif")))
     import rasterio
     from rasterio.enums import ColorInterp
@@ -306,7 +319,7 @@ def test_what_cannot_be_is_said_in_one_sentence(both: State, folder: Path) -> No
     with pytest.raises(BadProject, match="no height grid"):
         request_of(replace(room(both).ask, plane="height grid"), "")
     state = update(open_project(folder), WriteMosaic("a.tif"))
-    assert "make one first" in room(state).message and tasks(state) == ()
+    assert "make one first" in room(state).message == room(state).wrote and tasks(state) == ()
     cancelled = update(update(open_project(folder), MakeMosaic("both")), CancelMosaic())
     assert tasks(cancelled) == () and room(cancelled).wanted == {}
     failed = work(update(update(open_project(folder), Choose("model", "plane")), MakeMosaic("simultaneous")))

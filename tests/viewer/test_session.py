@@ -209,7 +209,7 @@ MADE_AGAIN = {
     Matching: {"serial", "asked", "found", "shown", "row", "task", "progress", "network", "read", "message"},
     Bundle: {"held", "task", "serial", "base", "upto", "rows", "layout", "block", "asked", "result", "progress", "error", "run",
              "worst", "opened", "then_open"},
-    Mosaic: {"made", "layer", "busy", "progress", "message", "written"},
+    Mosaic: {"made", "layer", "busy", "progress", "message", "wrote", "written"},
     Epochs: {"compared", "said"},
     Looking: {"image"},  # nobody begins inside a photo
     PhotoView: {"ready", "sharp"},  # the pyramid is there; every browser says how wide it draws

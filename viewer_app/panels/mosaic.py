@@ -33,7 +33,16 @@ from ..mosaic_tasks import tasks
 from ..state import State
 from ..tabs import Command, Desk, Tab
 from ..uploads import keep_map
-from .mosaic_words import drift_html, layer_html, measured_html, progress_html, residuals_html, step_html, summary_html
+from .mosaic_words import (
+    drift_html,
+    layer_html,
+    measured_html,
+    progress_html,
+    residuals_html,
+    step_html,
+    summary_html,
+    written_html,
+)
 from .widgets import QUIET, Html, bind, prop, put
 
 FIT = "fit"
@@ -247,6 +256,7 @@ class MosaicPanel:
                     else Say("Name the file first, mosaic.tif for example.")
                 ),
             )
+            self._written = Html(gui)
             self._rrd = gui.add_button(
                 "Mosaic as rerun recording",
                 color=QUIET,
@@ -326,6 +336,7 @@ class MosaicPanel:
         self._summary.set(summary_html(room) + drift_html(room) + residuals_html(room))
         self._measured.set(measured_html(state, room))
         self._layer.set(layer_html(room))
+        self._written.set(written_html(room))
 
 
 def working(state: State) -> bool:

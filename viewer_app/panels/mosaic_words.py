@@ -35,6 +35,13 @@ def progress_html(room: Mosaic, matching: Matching, working: bool) -> str:
     return f"<div {BOX}>{''.join(parts)}</div>" if parts else ""
 
 
+def written_html(room: Mosaic) -> str:
+    """How far the writing of a file is, and what came of it."""
+    if any(b.startswith("write|") for b in room.busy):
+        return f"<div {BOX}>{esc(room.progress or 'starting')}…</div>"
+    return f"<div {BOX}>{esc(room.wrote)}</div>" if room.wrote else ""
+
+
 def step_html(room: Mosaic) -> str:
     """What the step shown is."""
     made = room.current
