@@ -170,7 +170,7 @@ def _make(state: State, action: MakeMosaic | CancelMosaic) -> State:
     methods = METHODS if action.method == "both" else (action.method,)
     wanted = {**room.wanted, **{m: replace(room.ask, method=m) for m in methods}}
     shown = methods[0] if room.shown in METHODS or len(room.made) < 2 else room.shown
-    return state.with_room(replace(room, wanted=wanted, shown=shown, row=None, progress="", message=""))
+    return state.with_room(replace(room, wanted=wanted, shown=shown, row=None, progress="", message="", wrote=""))
 
 
 @handles(Look)

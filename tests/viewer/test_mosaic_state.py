@@ -320,6 +320,7 @@ def test_what_cannot_be_is_said_in_one_sentence(both: State, folder: Path) -> No
         request_of(replace(room(both).ask, plane="height grid"), "")
     state = update(open_project(folder), WriteMosaic("a.tif"))
     assert "make one first" in room(state).message == room(state).wrote and tasks(state) == ()
+    assert room(update(state, MakeMosaic("both"))).wrote == ""
     cancelled = update(update(open_project(folder), MakeMosaic("both")), CancelMosaic())
     assert tasks(cancelled) == () and room(cancelled).wanted == {}
     failed = work(update(update(open_project(folder), Choose("model", "plane")), MakeMosaic("simultaneous")))
