@@ -311,6 +311,8 @@ def test_what_is_exaggerated_is_written_in_the_scene_beside_a_scale_bar(session:
     words = v.page.get_by_role("status", name="Messages").inner_text()
     assert "a priori from the given standard errors, drawn × 30; redundancy of the adjustment " in words
     assert f"adjustment {solution.orientation.dof}" in words
+    line, tab = v.box(v.page.get_by_text("drawn: residuals × 120")), v.box(v.page.get_by_role("tab", name="Orientation"))
+    assert tab["y"] > line["y"] + line["height"] + 2  # the line over the tabs does not touch them
     v.open_tab("Photo")
     v.set_slider("Photo vectors ×", 20)
     until(app, v, lambda: app.state.view.photo_vectors == 20, "the photo's slider")
