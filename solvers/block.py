@@ -139,6 +139,13 @@ class Block:
         rows = np.flatnonzero(of.image == self.image_index(image))
         return rows[[self.points.role[p] in roles for p in of.point[rows].tolist()]] if len(rows) else rows
 
+    @property
+    def datum(self) -> str:
+        """What gives a bundle place, attitude and scale until somebody says otherwise: control, else GPS/IMU, else nothing."""
+        priors = [i.prior for i in self.images if i.prior is not None and i.prior.centre is not None]
+        weighted = any(p.sigma_m is not None or p.covariance is not None for p in priors)
+        return "control" if "control" in self.points.role else "prior" if weighted else "free"
+
     def with_role(self, point: str, role: str) -> Block:
         """A block in which one point has another role."""
         j = self.point_index(point)

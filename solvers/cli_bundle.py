@@ -37,9 +37,9 @@ def _options(command: Parser, free: str = "none") -> None:
                          help="projection; the orthogonal one frees c alone and is for narrow fields (default: perspective)")
     command.add_argument("--transform", choices=("iterated", "frozen"), default="iterated",
                          help="orthogonal model: rays made parallel anew in every iteration, or kept as the start makes them")
-    command.add_argument("--datum", choices=("control", "free", "prior", "both"), default="control",
+    command.add_argument("--datum", choices=("control", "free", "prior", "both"),
                          help="what gives place, attitude and scale: control points; inner constraints; GPS/IMU priors; control "
-                              "and priors (default: control)")
+                              "and priors (default: control, prior where the project has no control)")
     command.add_argument("--corners", metavar="C.json",
                          help="image corners as control, from collinea georeference --corners: each image's four with their "
                               "covariance; takes datum both, or prior where the project has no control")

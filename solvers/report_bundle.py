@@ -24,7 +24,8 @@ SAID = {"c": "principal distance c [mm]", "xp": "principal point xp [mm]", "yp":
         "k1": "radial K1 [mm^-2]", "k2": "radial K2 [mm^-4]", "k3": "radial K3 [mm^-6]", "p1": "decentring P1 [mm^-1]",
         "p2": "decentring P2 [mm^-1]", "b1": "affinity B1", "b2": "shear B2"}
 GROUPS = {"tie image": "image coordinates of tie points", "control image": "image coordinates of control", "control": "control "
-          "coordinates", "GPS": "GPS positions", "IMU": "IMU angles", "GPS/IMU": "GPS and IMU together"}
+          "coordinates", "GPS": "GPS positions", "IMU": "IMU angles", "level": "assumed to look down",
+          "GPS/IMU": "GPS and IMU together"}
 
 
 def adjusted_text(done: AdjustedProject) -> str:

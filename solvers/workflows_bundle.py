@@ -6,6 +6,7 @@ import os
 import shutil
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -93,10 +94,12 @@ def adjust_project(folder: Path | str, command: str = "adjust", recorder: Bundle
         begun, options = begun_of(folder, further)
     elif corners is not None:
         block, options = _by_corners(block, corners, options)
+    options, said = _with_datum(block, options)
     run = new_run(folder, command)
     rows = Rows(run, block, live)
     try:
-        done = leave_run(folder, command, block, adjust_block(block, watch=rows, begun=begun, **options), recorder, run)
+        result = adjust_block(block, watch=rows, begun=begun, **options)
+        done = leave_run(folder, command, block, replace(result, warnings=(*said, *result.warnings)), recorder, run)
     except KeyboardInterrupt as stopped:
         if rows.last is None:
             _dropped(run)
@@ -110,6 +113,17 @@ def adjust_project(folder: Path | str, command: str = "adjust", recorder: Bundle
     finally:
         rows.close()
     return done
+
+
+def _with_datum(block: Block, options: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """The options with a datum where they leave it to the project, and what to say of it."""
+    if options.get("datum") is not None:
+        return options, []
+    if block.datum != "prior":
+        return {**options, "datum": "control"}, []
+    placed = sum(i.prior is not None and i.prior.centre is not None for i in block.images)
+    return {**options, "datum": "prior"}, [f"there is no control: the positions (GPS) of {placed} images hold the block "
+                                           "(datum prior)"]
 
 
 def _dropped(run: Path) -> None:
@@ -241,7 +255,7 @@ def _by_corners(block: Block, path: str, options: dict[str, Any]) -> tuple[Block
     if options.get("datum") == "free":
         raise BadProject("--datum free takes no control; leave it out, or leave out --corners")
     has_control = bool(len(block.observations)) and "control" in {block.points.role[j] for j in block.observations.point.tolist()}
-    if options.get("datum", "control") == "control":
+    if options.get("datum") in (None, "control"):
         options = {**options, "datum": "both" if has_control else "prior"}
     return block, options
 

@@ -25,8 +25,8 @@ from .values import Ellipsoids, Frusta, Frustum, PointCloud, Scene, Segments, fr
 
 DRAWN = 200_000
 """Object points drawn at most, evenly chosen."""
-MOST = 500
-"""Ellipsoids of tie points drawn at most, the largest."""
+MOST = 300
+"""Ellipsoids of points of one kind drawn at most, the largest."""
 
 
 def alone(state: State) -> bool:
@@ -275,7 +275,7 @@ def _usual(result: Judged) -> float:
 def _fitted(state: State, length: float, part: float) -> float:
     low, high = site(state)
     room = float((high - low).max()) / part
-    return float(np.clip(nice(room / length), 1.0, FACTORS[-1])) if length > 1e-12 and room > 0 else 1.0
+    return float(np.clip(nice(room / length), FACTORS[0], FACTORS[-1])) if length > 1e-12 and room > 0 else 1.0
 
 
 def _vectors(state: State, layout: Layout, block: Block, row: Iteration) -> Scene:
@@ -289,14 +289,14 @@ def _vectors(state: State, layout: Layout, block: Block, row: Iteration) -> Scen
 
 
 def _ellipsoids(state: State, layout: Layout, row: Iteration) -> Scene:
-    """95 %, a priori, of the centres and of the points (of tie points the largest); a node for each kind."""
+    """95 %, a priori, of the centres and of the points (of many the largest); a node for each kind."""
     result, factor, found = judged(state), CHI_95 * ellipsoid_factor(state), Scene()
     if result is None:
         return found
     roles, places = _roles(result), layout.places(row.x)
     for kind, colour in (("control", theme.CONTROL), ("check", theme.CHECK), ("tie", theme.INITIAL)):
         rows = np.flatnonzero(roles == kind)
-        rows = _largest(result) if kind == "tie" and len(rows) > MOST else rows
+        rows = _largest(result, kind) if len(rows) > MOST else rows
         value = _ellipsoid_batch(places[rows], result.covariance[rows], factor, colour)
         if value is not None:
             found[f"/bundle/ellipsoids/{kind}"] = value
@@ -304,15 +304,20 @@ def _ellipsoids(state: State, layout: Layout, row: Iteration) -> Scene:
     return found if value is None else found | {"/bundle/ellipsoids/images": value}
 
 
+def left_out(result: Judged) -> dict[str, int]:
+    """How many points there are of each kind of which only the largest ellipsoids are drawn."""
+    return {kind: n for kind in ("control", "check", "tie") if (n := result.roles.count(kind)) > MOST}
+
+
 @by_identity(2)
 def _roles(result: Judged) -> np.ndarray:
     return np.array(result.roles)
 
 
-@by_identity(2)
-def _largest(result: Judged) -> np.ndarray:
-    """The tie points (k,) of the largest ellipsoids."""
-    rows = np.flatnonzero(_roles(result) == "tie")
+@by_identity(4)
+def _largest(result: Judged, kind: str) -> np.ndarray:
+    """The points (k,) of a kind with the largest ellipsoids."""
+    rows = np.flatnonzero(_roles(result) == kind)
     return rows[np.argsort(-np.einsum("nii->n", result.covariance[rows]), kind="stable")[:MOST]]
 
 

@@ -22,8 +22,8 @@ SHUTTERS = ("none", "auto", "translation", "rotation")
 LEAST_SQUARES = "none"
 ROBUST = (LEAST_SQUARES, *LOSSES)
 COLOURED = ("residual", "number of rays", "none")
-FACTORS = tuple(float(f * 10**k) for k in range(6) for f in (1, 2, 5))
-"""Exaggerations to choose from; 0 fits the longest into the site."""
+FACTORS = tuple(float(f"{f}e{k}") for k in range(-3, 6) for f in (1, 2, 5))
+"""Exaggerations to choose from, below 1 what is drawn smaller than it is; 0 fits the longest into the site."""
 
 
 @dataclass(frozen=True, eq=False)

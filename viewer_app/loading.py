@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from solvers import Block, Exterior, PhotogrammetryError
+from solvers import Exterior, PhotogrammetryError
 from solvers.geometry import LocalFrame
 from solvers.io import read_project, read_surface, read_truth
 
@@ -33,13 +33,7 @@ def open_project(folder: Path | str) -> State:
     frame = LocalFrame.around(_somewhere(block), block.crs, block.frame)
     assets = Assets(folder, frame, level=_level(block.surface, frame), truth=_truth(read_truth(folder), frame))
     state = first_state(State(Work(block), assets, block.images[0].name if block.images else ""))
-    return state.with_room(Bundle(datum=datum_of(block)))
-
-
-def datum_of(block: Block) -> str:
-    """What gives a bundle place, attitude and scale, until somebody says otherwise: control, else GPS/IMU, else nothing."""
-    placed = any(i.prior is not None and i.prior.centre is not None for i in block.images)
-    return "control" if "control" in block.points.role else "prior" if placed else "free"
+    return state.with_room(Bundle(datum=block.datum))
 
 
 def _somewhere(block: Any) -> np.ndarray:

@@ -36,7 +36,7 @@ NAMED = 24
 """Known points up to which their names are shown, not only told where one points at them."""
 DRAWN = 20000
 """Points that are drawn in every row, at most."""
-SWOLLEN, PHOTOS = 500, 60
+SWOLLEN, PHOTOS = 300, 60
 """Ellipsoids of one kind, the largest, and photos with their residuals, the worst, at most."""
 
 
@@ -199,12 +199,17 @@ class _Scene:
             if of:
                 v = np.array([off[adjusted.points[k].name] for k in of])
                 self.stream.log(f"/bundle/vectors/{role}", rr.Arrows3D(origins=points[of] - v, vectors=factor * v, colors=colour))
+        if not adjusted.trace.converged:
+            self.stream.log("/log/bundle", rr.TextLog(f"vectors are drawn {factor:g} times their size; ellipsoids hold only for "
+                                                      "the minimum, which was not reached"))
+            return
         kinds = {"images": (poses[:, :3], np.array([o.covariance[:3, :3] for o in adjusted.orientations]), theme.PERSPECTIVE),
                  "points": (points, np.array([p.covariance for p in adjusted.points]).reshape(-1, 3, 3), theme.INITIAL)}
         largest = {k: np.sqrt(np.maximum(np.linalg.eigvalsh(q)[:, -1], 0)) for k, (_, q, _) in kinds.items()}
         usual = float(np.percentile(np.concatenate(list(largest.values())), 90))
         apart = max(10.0, 3 * self.m**0.5)
-        swell = max(nice(extent / apart / (CHI_95 * usual)), 1.0) if usual > 0 else 1.0
+        swell = nice(extent / apart / (CHI_95 * usual)) if usual > 0 else 1.0
+        few = f"; of {self.n} points only the {SWOLLEN} largest ellipsoids are drawn" if self.n > SWOLLEN else ""
         for name, (at, q, colour) in kinds.items():
             rows = np.argsort(-largest[name], kind="stable")[:SWOLLEN]
             values, axes = np.linalg.eigh(q[rows])
@@ -213,7 +218,7 @@ class _Scene:
                 centers=at[rows], half_sizes=CHI_95 * swell * np.sqrt(np.maximum(values, 0)), quaternions=_quaternions(axes),
                 colors=colour, line_radii=rr.Radius.ui_points(0.5)))
         self.stream.log("/log/bundle", rr.TextLog(f"95 % ellipsoids are drawn {swell:g} times, vectors {factor:g} times "
-                                                  "their size"))
+                                                  "their size" + few))
 
     def photos(self, adjusted: Adjusted) -> None:
         """Residuals of the images on their formats at the last row, the worst first, exaggerated."""

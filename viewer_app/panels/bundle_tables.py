@@ -10,7 +10,7 @@ from .. import theme
 from ..bridge import Wire
 from ..bundle_actions import NOTHING
 from ..bundle_rows import last_misfit, misfit, point_rms
-from ..bundle_scene import judged, scale_end
+from ..bundle_scene import MOST, ellipsoid_factor, judged, left_out, scale_end
 from ..bundle_state import COLOURED, Bundle, Held
 from ..bundle_values import Judged, Layout
 from ..kept import by_identity
@@ -21,7 +21,8 @@ from .widgets import MUTED, css, decimals, esc, swatch, table
 ROWS = 60
 """Rows of a table at most; the worst come first."""
 GROUPS = {"tie image": "image, tie points", "control image": "image, control", "control": "control coordinates",
-          "GPS": "GPS positions", "IMU": "IMU angles", "GPS/IMU": "GPS and IMU together"}
+          "GPS": "GPS positions", "IMU": "IMU angles", "level": "assumed to look down",
+          "GPS/IMU": "GPS and IMU together"}
 UNITS = {"c": "mm", "xp": "mm", "yp": "mm", "k1": "mm⁻²", "k2": "mm⁻⁴", "k3": "mm⁻⁶", "p1": "mm⁻¹", "p2": "mm⁻¹"}
 
 
@@ -168,7 +169,8 @@ def marks(state: State) -> str:
     result = judged(state)
     if room.draw_ellipsoids and result is not None:
         words.append(f"ellipsoids: 95 % (factor 2.796, χ² with 3 degrees of freedom), a priori from the given standard errors; "
-                     f"redundancy of the adjustment {result.dof}")
+                     f"redundancy of the adjustment {result.dof}; drawn × {ellipsoid_factor(state):g}")
+        words += [f"of {n} {kind} points only the {MOST} largest ellipsoids are drawn" for kind, n in left_out(result).items()]
     return "".join(f"<div {MUTED}>{w}</div>" for w in words)
 
 

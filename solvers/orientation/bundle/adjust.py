@@ -18,6 +18,7 @@ from ..single import camera_manifest
 from .carry import Carried
 from .datum import Inner
 from .given import BundleRequest, Given, given, network
+from .level import levelled, line_of, said_of, turned
 from .network import Network
 from .orthogonal import OrthogonalBundle
 from .orthogonal_start import BUNDLE, FITS, false_fixed_point, orthogonal_start, softened
@@ -151,13 +152,13 @@ def prepare_bundle(block: Block, request: BundleRequest, begun: Begun | None = N
     first, x0 = (x0, x0) if begun is None else _further(data, net, x0, begun)
     inner = _inner(data, net, first) if request.datum == "free" else None
     kind = Carried if _weakly_placed(net, x0, request) else Bundle
+    net, x0, rolled = _rolled(net, x0, request, begun, first)
     problem = kind.of(net, inner, None if request.compiled is None else not request.compiled)
     if inner:
         x0 = inner.restored(net, x0)
     elif named := datum_defects(problem, x0):
-        raise DegenerateGeometry(f"{block.name}: control and priors leave free {'; '.join(named)}; add control, or take "
-                                 "--datum free")
-    left = [*_connected(block, net, inner is None), *left]
+        raise DegenerateGeometry(f"{block.name}: {_loose(data, net) or f'control and priors leave free {_listed(named)}'}")
+    left = [*rolled, *_connected(block, net, inner is None), *left]
     if problem.dof < 0:
         raise DegenerateGeometry(f"{block.name}: {net.observed} observations cannot determine {net.observed - problem.dof} "
                                  "unknowns; measure more points or free fewer interior parameters")
@@ -169,7 +170,7 @@ def prepare_bundle(block: Block, request: BundleRequest, begun: Begun | None = N
     x0 = x0 if begun else softened(problem, x0)
     options = ROBUST if request.loss else BUNDLE
     if isinstance(problem, Carried):
-        x0, options = x0 if begun else problem.carried(x0), replace(options, shift_tolerance=SHIFT)
+        x0, options = x0 if begun or rolled else problem.carried(x0), replace(options, shift_tolerance=SHIFT)
     return BundleStart(problem, x0, options, _manifest(data, net), data, (*left, *said))
 
 
@@ -186,6 +187,35 @@ def _weakly_placed(net: Network, x0: np.ndarray, request: BundleRequest) -> bool
     interior = net.interiors[int(net.camera[0])]
     seen = float(np.median(net.sigma)) * float(np.max(interior.pitch)) / interior.c * ray  # m on the ground
     return float(np.median(net.weight[weighted] ** -0.5)) > COARSE * seen
+
+
+def _rolled(net: Network, x0: np.ndarray, request: BundleRequest, begun: Begun | None,
+            first: np.ndarray) -> tuple[Network, np.ndarray, list[str]]:
+    """The network and its start where positions on a line leave it free to roll: looking down, and that said."""
+    line = line_of(net) if request.datum in ("prior", "both") else None
+    if line is None:
+        return net, x0, []
+    if request.model != "perspective":
+        return net, x0, [said_of(line, False)]
+    if begun is None:
+        x0 = Carried.of(net, None, True).carried(x0)
+        first = turned(net, line, x0)
+    held = levelled(net, line, first)
+    x0 = first if held and begun is None else x0
+    return held or net, x0, [said_of(line, held is not None)]
+
+
+def _listed(named: list[str]) -> str:
+    return f"{'; '.join(named)}; add control, or take --datum free"
+
+
+def _loose(data: Given, net: Network) -> str:
+    """What to do where there is no control at all, but priors that take no part; nothing elsewhere."""
+    placed = sum(i.prior is not None and i.prior.centre is not None for i in data.block.images)
+    if data.request.datum != "control" or not placed or (net.weight > 0).any() or net.unknown < len(net.points):
+        return ""
+    return (f"no control is measured, and the GPS positions of {placed} images take no part in the datum control; take --datum "
+            "prior, or measure control points")
 
 
 def _again(data: Given, begun: Begun) -> tuple[dict[int, Exterior], np.ndarray, list[str]]:

@@ -176,7 +176,7 @@ def described(data: Given, problem: Bundle, trace: Trace, stats: Statistics, sai
     control, check = ([p.off for p in points if p.role == role and np.isfinite(p.off).all()] for role in ("control", "check"))
     warnings = [*said, *bad_fit(trace.last.cost, problem.dof)]
     if not trace.converged:
-        warnings.insert(0, f"did not converge: stopped by '{trace.last.stop}' after {trace.iterations} iterations; do not use")
+        warnings.insert(0, unfinished(trace))
     warnings += _shutter(data, problem, x)
     if stats.loose:
         shown = ", ".join(net.points[n] for n in stats.loose[:6]) + (" ..." if len(stats.loose) > 6 else "")
@@ -188,14 +188,15 @@ def described(data: Given, problem: Bundle, trace: Trace, stats: Statistics, sai
     if suspects:
         shown = ", ".join(s["text"] for s in suspects[:5]) + (" ..." if len(suspects) > 5 else "")
         warnings.append(f"{len(suspects)} suspect observation(s) with |w| > {SUSPECT:g}, the worst first: {shown}")
-    groups = _groups(problem, x, stats, v)
+    groups = _groups(data, problem, x, stats, v)
     if (off := groups.get("motion", (None, 0.0))[0] or 0.0) > CONTRADICTED:
         warnings.append(f"rolling shutter: the motions differ from what is known of them by {off:.1f} times their standard "
                         "errors: they take up something else, perhaps the lens; calibrate it first")
     if (off := max((groups[k][0] or 0.0 for k in groups if k[:3] in ("GPS", "IMU")), default=0.0)) > CONTRADICTED:
         warnings.append(f"GPS or IMU differ from the block by {off:.1f} times their standard errors: do not believe its place, "
-                        "scale and attitude; look for a lens that was never calibrated (--free c,xp,yp,k1,k2,k3), wrong headings "
-                        "(collinea georeference --check-headings) and too small sigmas")
+                        "scale and attitude; look for a lens that was never calibrated (--free c,xp,yp,k1,k2,k3, or Free "
+                        "interior parameters in the tab Bundle), wrong headings (collinea georeference --check-headings) and "
+                        "too small sigmas")
     return Adjusted(
         orientations=_orientations(data, problem, trace, stats, v, sigma0),
         interiors=dict(zip(net.cameras, interiors, strict=True)),
@@ -204,6 +205,13 @@ def described(data: Given, problem: Bundle, trace: Trace, stats: Statistics, sai
         groups=groups, suspects=tuple(suspects), chi_square=chi_square(trace.last.cost, problem.dof),
         trace=trace, warnings=tuple(warnings), shifts=_shifts(problem, x, stats), motions=_motions(problem, x, stats),
         joint=_joint(problem, x, stats))
+
+
+def unfinished(trace: Trace) -> str:
+    """What to say of a trace that did not converge."""
+    if trace.last.stop == "stopped":
+        return f"stopped at row {trace.last.index} before it converged: standard errors hold only for the minimum; do not use"
+    return f"did not converge: stopped by '{trace.last.stop}' after {trace.iterations} iterations; do not use"
 
 
 def _joint(problem: Bundle, x: np.ndarray, stats: Statistics) -> dict[str, np.ndarray]:
@@ -270,7 +278,8 @@ def _points(data: Given, problem: Bundle, x: np.ndarray, stats: Statistics) -> t
                  for k, n in enumerate(net.points))
 
 
-def _groups(problem: Bundle, x: np.ndarray, stats: Statistics, v: np.ndarray) -> dict[str, tuple[float | None, float]]:
+def _groups(data: Given, problem: Bundle, x: np.ndarray, stats: Statistics,
+            v: np.ndarray) -> dict[str, tuple[float | None, float]]:
     """sigma0 and redundancy of each kind of observation (the simplest estimate of variance components: Förstner 1979)."""
     net = problem.network
     of_control = np.asarray(np.isfinite(net.known).any(axis=1))[net.point]
@@ -296,7 +305,8 @@ def _groups(problem: Bundle, x: np.ndarray, stats: Statistics, v: np.ndarray) ->
         roots = net.prior_arrays[2]
         known = np.abs(roots).sum(axis=2) > 0
         apart = not roots[:, :3, 3:].any()  # else positions and angles are known together
-        for name, rows in (("GPS", slice(0, 3)), ("IMU", slice(3, 6))) if apart else (("GPS/IMU", slice(0, 6)),):
+        turns = "IMU" if any(p.root[3:].any() for p in data.priors.values()) else "level"  # assumed, not measured
+        for name, rows in (("GPS", slice(0, 3)), (turns, slice(3, 6))) if apart else (("GPS/IMU", slice(0, 6)),):
             if known[:, rows].any():
                 sums[name] = (float((misclosure[:, rows] ** 2).sum()), float((known - held)[:, rows].sum()))
     return {k: (float(np.sqrt(s / r)) if r > 0.5 else None, r) for k, (s, r) in sums.items()}
@@ -340,7 +350,7 @@ def _shutter(data: Given, problem: Bundle, x: np.ndarray) -> list[str]:
     if not way or (middle := sorted(way)[len(way) // 2])[0] <= MATTERS:
         return []
     return [f"rolling shutter: the camera moves by {middle[0]:.1f} px on the ground while it reads a photo ({middle[1]:.1f} m/s "
-            f"for {middle[2]:.0f} ms); give --rolling-shutter"]
+            f"for {middle[2]:.0f} ms): free it (--rolling-shutter, or Rolling shutter in the tab Bundle)"]
 
 
 def _suspects(problem: Bundle, v: np.ndarray, stats: Statistics, points: tuple[AdjustedPoint, ...]) -> list[dict[str, Any]]:

@@ -18,6 +18,7 @@ from ..linear_models import affine, direct_linear_transformation
 from .datum import similarity
 from .given import Given
 from .growing import straightened
+from .level import Line, looking_down
 from .meeting import FAR, behind, misses, points, without_wrong_rays
 
 MANY = 60
@@ -32,6 +33,8 @@ MISFIT, TRIPLES = 8.0, 60
 """Median residual, over the sigma of an observation, from which three points at a time are asked, and how often."""
 MUCH = 0.4
 """Share of the median residual that is much better."""
+ON_LINE = 0.1
+"""Spread of positions across a line, over that along it, below which images are turned about it until they look down."""
 STEADY, WIDER = 24, 1.5
 """Images from which a growing block is adjusted on the way, and growth until it is so again."""
 NEAR = 20.0
@@ -313,14 +316,19 @@ def _placed(data: Given, poses: dict[int, Exterior]) -> list[str]:
     """Bring a relative orientation to where known points, or the priors, say it is; gives back what to know."""
     xyz = points(data, poses)
     ok = np.isfinite(xyz).all(axis=1) & np.isfinite(data.approximate).all(axis=1)
-    source, target = xyz[ok], data.approximate[ok]
-    if len(source) < 3:
+    source, target, by_points = xyz[ok], data.approximate[ok], int(ok.sum()) >= 3
+    if not by_points:
         source, target = _centres_and_axes(data, poses)
-    if len(source) < 3 or np.linalg.svd(target - target.mean(axis=0), compute_uv=False)[1] < 1e-6:
+    spread = np.linalg.svd(target - target.mean(axis=0), compute_uv=False) if len(target) > 1 else np.zeros(2)
+    on_line = not by_points and len(source) == len(poses) and spread[1] < ON_LINE * spread[0]
+    enough = len(source) >= 3 and spread[1] >= 1e-6
+    if not enough and not (on_line and data.priors and spread[0] > 1e-6):
         return ["place, attitude and scale are arbitrary: fewer than three points or image positions are known"]
     scale, r, t = similarity(source, target)
     for i, e in poses.items():
         poses[i] = Exterior(e.m @ r.T, scale * r @ e.centre + t)
+    if on_line:
+        poses.update(looking_down(Line.through(target), poses))
     return []
 
 
