@@ -14,11 +14,13 @@ from rerun.chunk import RrdReader
 from solvers import BadProject, Trace
 from solvers.adjustment import LARGE, Iteration, thin
 from solvers.cli import main
-from solvers.io import RowReader, RowWriter, load_trace, read_truth, save_trace, write_project
+from solvers.io import RowReader, RowWriter, load_trace, read_project, read_truth, save_trace, write_project
 from solvers.simulation import calibration_plate
 from solvers.workflows_bundle import AdjustedProject, StoppedRun, adjust_project
 from solvers.workflows_report import read_result, report_project
 from tests.commands import demo_without_photos, refused, run
+from viewer_app.bundle_state import Bundle
+from viewer_app.loading import open_project
 from viewer_app.rerun_bundle import Live
 
 
@@ -79,6 +81,19 @@ def test_calibrate_finds_the_camera_of_a_plate(tmp_path: Path, capsys: pytest.Ca
         assert abs(camera[key] - getattr(true, name)) < 4 * camera["sigma"][key]
     assert main(["calibrate", str(tmp_path / "plate")]) == 0
     assert "principal distance c [mm]" in capsys.readouterr().out
+
+
+def test_positions_hold_a_block_without_control(demo: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The command takes the datum that the viewer does, and says so."""
+    table = demo / "points.csv"
+    table.write_text(table.read_text().replace(",control", ",check"))
+    block = read_project(demo)
+    assert block.datum == "prior" and open_project(demo).room(Bundle).datum == "prior"
+    done = run(capsys, "adjust", demo)
+    count = len(block.images)
+    assert done["warnings"][0] == f"there is no control: the positions (GPS) of {count} images hold the block (datum prior)"
+    said = refused(capsys, "adjust", demo, "--datum", "control")
+    assert f"no control is measured, and the GPS positions of {count} images take no part" in said and "--datum prior" in said
 
 
 def test_refusals(demo: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -88,7 +88,8 @@ def test_truth_is_recovered_and_a_still_camera_is_told() -> None:
     for o in got.orientations:
         np.testing.assert_allclose(o.exterior.centre, sim.exteriors[o.image].centre, atol=1e-5)
         np.testing.assert_allclose(got.motions[o.image][0], truth[o.image][:3], atol=1e-4)
-    assert any("rolling shutter: the camera moves by" in w for w in still.warnings)
+    (said,) = [w for w in still.warnings if "rolling shutter: the camera moves by" in w]
+    assert "(--rolling-shutter, or Rolling shutter in the tab Bundle)" in said  # right in both places
     assert not any("rolling shutter" in w for w in got.warnings)
 
 

@@ -66,8 +66,9 @@ def test_a_block_whose_positions_hold_it_is_as_it_was() -> None:
 def test_it_is_the_same_problem_when_it_is_gone_on_with() -> None:
     block, _ = strip()
     done = adjust(block, datum="prior")
-    again = prepare_bundle(block, BundleRequest(datum="prior"), Begun(done.trace.manifest, done.trace.rows[0].x, done.trace.last.x))
-    assert again.problem.cost(done.trace.last.x) == pytest.approx(done.cost, rel=1e-9)
+    first, last = done.trace.rows[0].x, done.trace.last.x
+    again = prepare_bundle(block, BundleRequest(datum="prior"), Begun(done.trace.manifest, first, last))
+    assert again.problem.cost(last) == pytest.approx(done.cost, rel=1e-9)
 
 
 def test_a_roll_looks_down() -> None:

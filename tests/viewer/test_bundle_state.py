@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator
 from dataclasses import replace
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rerun.chunk import RrdReader
 
 from solvers import Interior
 from solvers.adjustment import Iteration
@@ -32,13 +34,15 @@ from viewer_app.bundle_actions import (
 )
 from viewer_app.bundle_figures import Vectors, camera_figures, field, image_vectors, inside, profile
 from viewer_app.bundle_rows import exterior, image_number, misfit, place, point_rms, ray_counts
-from viewer_app.bundle_scene import ellipsoid_factor, judged, offsets, point_colours, scale_end, vector_factor
+from viewer_app.bundle_scene import MOST, ellipsoid_factor, judged, offsets, point_colours, scale_end, vector_factor
 from viewer_app.bundle_scene import scene as bundle_scene
-from viewer_app.bundle_state import Bundle, bundle_choices, bundle_of_choices
-from viewer_app.bundle_tasks import tasks
+from viewer_app.bundle_state import FACTORS, Bundle, bundle_choices, bundle_of_choices
+from viewer_app.bundle_tasks import adjusted_bundle, tasks
+from viewer_app.ground import site
 from viewer_app.panels.bundle import together
 from viewer_app.panels.bundle_plots import vectors_svg
-from viewer_app.panels.bundle_tables import two_runs
+from viewer_app.panels.bundle_tables import marks, two_runs
+from viewer_app.rerun_bundle import record_bundle
 from viewer_app.rerun_shown import bundle_shown
 from viewer_app.state import State
 from viewer_app.tabs import whole_scene
@@ -248,7 +252,60 @@ def test_a_stopped_bundle_is_kept_as_a_run(state: State, tmp_path: Path) -> None
     end = update(wanted, task.arrive(kept))
     where = latest_run(tmp_path, "trace.json", "adjust")
     assert where is not None and room(end).run == str(where) and room(end).opened == 1
-    assert (where / "recording.rrd").stat().st_size > 1000 and "stopped" in (where / "result.json").read_text()
+    assert (where / "recording.rrd").stat().st_size > 1000
+    said = json.loads((where / "result.json").read_text())["warnings"]
+    assert said[0].startswith("stopped at row 1 before it converged: standard errors hold only for the minimum")
+    assert not drawn(where / "recording.rrd", "/bundle/ellipsoids/")  # they hold only there
+
+
+def drawn(recording: Path, under: str) -> list[str]:
+    """Entities of a recording under a path."""
+    return sorted({str(c.entity_path) for c in RrdReader(recording).stream() if str(c.entity_path).startswith(under)})
+
+
+def uncertain(state: State, factor: float) -> State:
+    """A bundle whose standard errors are so many times as large."""
+    result = room(state).result
+    assert result is not None
+    worse = replace(result, covariance=result.covariance * factor**2, image_covariance=result.image_covariance * factor**2)
+    return state.with_room(replace(room(state), result=worse))
+
+
+def test_ellipsoids_larger_than_the_site_are_drawn_smaller_and_that_is_told(done: State) -> None:
+    usual = ellipsoid_factor(done)
+    state = uncertain(done, 20 * usual)
+    factor = ellipsoid_factor(state)
+    assert 0 < factor <= 0.1 and factor in FACTORS and {0.01, 0.1, 0.5} <= set(FACTORS)
+    found = bundle_scene(state)
+    assert any(isinstance(v, Label) and v.text.endswith(f"95 % ellipsoids × {factor:g}") for v in found.values())
+    assert f"drawn × {factor:g}" in marks(state)
+    low, high = site(state)
+    ellipsoids = [v for p, v in found.items() if p.startswith("/bundle/ellipsoids/") and isinstance(v, Ellipsoids)]
+    assert ellipsoids and all(np.percentile(v.radii.max(axis=1), 50) < (high - low).max() / 5 for v in ellipsoids)
+    assert room(update(done, SetBundle("ellipsoid", 0.01))).ellipsoid == 0.01
+
+
+def test_of_many_points_the_largest_ellipsoids_are_drawn_and_that_is_said(done: State, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "largest" not in marks(done) and MOST <= 300
+    of = room(done).result
+    assert of is not None
+    kind, count = max(((k, of.roles.count(k)) for k in ("tie", "control", "check")), key=lambda k: k[1])
+    monkeypatch.setattr("viewer_app.bundle_scene.MOST", count - 1)
+    monkeypatch.setattr("viewer_app.panels.bundle_tables.MOST", count - 1)
+    drawn = bundle_scene(done)[f"/bundle/ellipsoids/{kind}"]
+    assert isinstance(drawn, Ellipsoids) and len(drawn.centres) == count - 1
+    assert f"of {count} {kind} points only the {count - 1} largest ellipsoids are drawn" in marks(done)
+
+
+def test_a_recording_shrinks_ellipsoids_that_are_larger_than_the_site(done: State, tmp_path: Path) -> None:
+    block, adjusted = adjusted_bundle(done)
+    worse = tuple(replace(p, covariance=1e10 * p.covariance) for p in adjusted.points)
+    record_bundle(tmp_path / "r.rrd", block, replace(adjusted, points=worse))
+    assert drawn(tmp_path / "r.rrd", "/bundle/ellipsoids/")
+    said = [str(t) for c in RrdReader(tmp_path / "r.rrd").stream() if str(c.entity_path) == "/log/bundle"
+            for t in c.to_record_batch().to_pydict().get("TextLog:text", [])]
+    (words,) = [t for t in said if "95 % ellipsoids are drawn" in t]
+    assert float(words.split("drawn ")[1].split(" times")[0]) < 1
 
 
 def test_the_radial_profile_finds_a_radial_error(done: State) -> None:
