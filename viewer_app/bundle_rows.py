@@ -86,16 +86,25 @@ class Misfit:
 
 
 def misfit(state: State) -> Misfit | None:
-    """The residuals at the row shown, of large blocks those of the last row; None before there is anything."""
+    """The residuals at the row shown, of large blocks and of photos that move while they are read those of the last row; None
+    before there is anything."""
     room = state.room(Bundle)
     row = room.at(state.row)
     if row is None or room.layout is None or room.block is None:
         return None
-    if len(room.block.observations) <= LIVE:
+    if len(room.block.observations) <= LIVE and not moving(room.layout, row):
         return _misfit(room.layout, room.block, row)
     if room.result is None:
         return None
     return last_misfit(room.result)
+
+
+def moving(layout: Layout, row: Iteration) -> bool:
+    """Whether the images of a row have motions, by which points are seen from where each line was read."""
+    asked = layout.manifest["request"].get("rolling_shutter", "none")
+    images = len(layout.images)
+    beside = len(row.x) - 12 * images - 10 * len(layout.cameras) - 3 * len(layout.points)
+    return asked in ("translation", "rotation") or (asked == "auto" and beside >= 6 * images)  # shifts are 3 of a strip, at most
 
 
 @by_identity(2)

@@ -42,6 +42,21 @@ def test_a_flight_becomes_a_free_block(data: Path, tmp_path: Path, flight: str, 
     assert len(found.orientations) == photos and found.trace.converged and found.rms_px < rms
 
 
+def test_five_positions_in_a_row_hold_a_flight_that_looks_down(data: Path, tmp_path: Path) -> None:
+    init_project([data / "uav_strip5"], tmp_path / "p")
+    find_ties(tmp_path / "p")
+    block = read_project(tmp_path / "p")
+    still, found = (adjust(block, datum="prior", rolling_shutter=how, free=free)
+                    for how, free in (("none", ()), ("auto", ("c", "xp", "yp", "k1", "k2", "k3"))))
+    for done in (still, found):
+        assert done.trace.converged and any("of one line and hardly hold the rotation" in w for w in done.warnings)
+        assert np.mean([o.exterior.m[2, 2] for o in done.orientations]) > 0.95
+        at = np.array([o.exterior.centre for o in done.orientations])
+        assert np.linalg.norm(np.diff(at, axis=0), axis=1) == pytest.approx(28, abs=4)
+    assert (still.sigma0 or 0) > 10  # what the shutter leaves, as in the free network
+    assert (found.sigma0 or 9) < 0.9 and (found.groups["GPS"][0] or 9) < 1 and (found.groups["motion"][0] or 9) < 1.5
+
+
 def test_least_squares_matching_makes_features_exact(data: Path) -> None:
     rng = np.random.default_rng(7)
     fine = scene(data / "uav_brighton8/DJI_0026.JPG")

@@ -18,6 +18,7 @@ from solvers.cameras import PARAMETERS
 from solvers.errors import BadProject
 from solvers.io import latest_run, write_project
 from solvers.workflows_bundle import StoppedRun, adjust_project
+from tests.orientation.test_bundle_lagged import flown
 from viewer_app.acting import update
 from viewer_app.actions import GoTo, Show, SwitchPoint
 from viewer_app.bundle_actions import (
@@ -39,6 +40,7 @@ from viewer_app.bundle_scene import scene as bundle_scene
 from viewer_app.bundle_state import FACTORS, Bundle, bundle_choices, bundle_of_choices
 from viewer_app.bundle_tasks import adjusted_bundle, tasks
 from viewer_app.ground import site
+from viewer_app.loading import open_project
 from viewer_app.panels.bundle import together
 from viewer_app.panels.bundle_plots import vectors_svg
 from viewer_app.panels.bundle_tables import marks, two_runs
@@ -306,6 +308,16 @@ def test_a_recording_shrinks_ellipsoids_that_are_larger_than_the_site(done: Stat
             for t in c.to_record_batch().to_pydict().get("TextLog:text", [])]
     (words,) = [t for t in said if "95 % ellipsoids are drawn" in t]
     assert float(words.split("drawn ")[1].split(" times")[0]) < 1
+
+
+def test_residuals_of_photos_that_move_while_they_are_read_are_those_of_the_adjustment(tmp_path: Path) -> None:
+    write_project(flown(4)[0], tmp_path / "p")
+    state = update(open_project(tmp_path / "p"), SetBundle("shutter", "translation"))
+    state = run(state)
+    of, result = misfit(state), room(state).result
+    assert of is not None and result is not None and not of.live
+    assert np.sqrt((of.v**2).sum(axis=1).mean()) == pytest.approx(result.rms_px, rel=1e-6)
+    assert misfit(run(state, rows=1)) is None
 
 
 def test_the_radial_profile_finds_a_radial_error(done: State) -> None:

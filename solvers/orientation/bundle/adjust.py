@@ -198,7 +198,7 @@ def _rolled(net: Network, x0: np.ndarray, request: BundleRequest, begun: Begun |
     if request.model != "perspective":
         return net, x0, [said_of(line, False)]
     if begun is None:
-        x0 = Carried.of(net, None, True).carried(x0)
+        x0 = Carried(net).carried(x0)
         first = turned(net, line, x0)
     held = levelled(net, line, first)
     x0 = first if held and begun is None else x0
