@@ -140,11 +140,15 @@ class Block:
         return rows[[self.points.role[p] in roles for p in of.point[rows].tolist()]] if len(rows) else rows
 
     @property
+    def placed(self) -> int:
+        """Images whose position is known with a standard error."""
+        priors = [i.prior for i in self.images if i.prior is not None and i.prior.centre is not None]
+        return sum(p.sigma_m is not None or p.covariance is not None for p in priors)
+
+    @property
     def datum(self) -> str:
         """What gives a bundle place, attitude and scale until somebody says otherwise: control, else GPS/IMU, else nothing."""
-        priors = [i.prior for i in self.images if i.prior is not None and i.prior.centre is not None]
-        weighted = any(p.sigma_m is not None or p.covariance is not None for p in priors)
-        return "control" if "control" in self.points.role else "prior" if weighted else "free"
+        return "control" if "control" in self.points.role else "prior" if self.placed else "free"
 
     def with_role(self, point: str, role: str) -> Block:
         """A block in which one point has another role."""

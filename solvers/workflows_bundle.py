@@ -121,8 +121,7 @@ def _with_datum(block: Block, options: dict[str, Any]) -> tuple[dict[str, Any], 
         return options, []
     if block.datum != "prior":
         return {**options, "datum": "control"}, []
-    placed = sum(i.prior is not None and i.prior.centre is not None for i in block.images)
-    return {**options, "datum": "prior"}, [f"there is no control: the positions (GPS) of {placed} images hold the block "
+    return {**options, "datum": "prior"}, [f"there is no control: the positions (GPS) of {block.placed} images hold the block "
                                            "(datum prior)"]
 
 

@@ -49,7 +49,8 @@ CASES = [("control", True, "control"), ("tie", True, "prior"), ("tie", False, "f
 @pytest.mark.parametrize(("role", "placed", "datum"), CASES)
 def test_the_datum_is_taken_from_what_the_project_has(tmp_path: Path, state: State, role: str, placed: bool, datum: str) -> None:
     block = state.block
-    images = tuple(replace(i, prior=Prior(np.array([500100.0, 5400200.0, 400.0])) if placed else None) for i in block.images)
+    prior = Prior(np.array([500100.0, 5400200.0, 400.0]), None, np.full(3, 2.0)) if placed else None
+    images = tuple(replace(i, prior=prior) for i in block.images)
     points = replace(block.points, role=(role,) * len(block.points))
     write_project(replace(block, images=images, points=points), tmp_path / "p")
     opened = open_project(tmp_path / "p")

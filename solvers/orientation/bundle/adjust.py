@@ -211,7 +211,7 @@ def _listed(named: list[str]) -> str:
 
 def _loose(data: Given, net: Network) -> str:
     """What to do where there is no control at all, but priors that take no part; nothing elsewhere."""
-    placed = sum(i.prior is not None and i.prior.centre is not None for i in data.block.images)
+    placed = data.block.placed
     if data.request.datum != "control" or not placed or (net.weight > 0).any() or net.unknown < len(net.points):
         return ""
     return (f"no control is measured, and the GPS positions of {placed} images take no part in the datum control; take --datum "

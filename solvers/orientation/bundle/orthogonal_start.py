@@ -16,6 +16,7 @@ from .problem import Bundle
 BUNDLE = Options(max_iterations=60, max_trials=20, step_tolerance=1e-6, cost_tolerance=1e-13)
 FIXED_POINT = Options.gauss_newton(max_iterations=150, step_tolerance=1e-7)
 AIMED = Options.gauss_newton(max_iterations=30, step_tolerance=1e-7)
+PERSPECTIVE = "the perspective projection (--model perspective, or Projection in the tab Bundle)"
 FITS = 1.3
 """sigma0 below which a fixed point is not suspected to be a false one."""
 
@@ -44,7 +45,7 @@ def orthogonal_start(perspective: Bundle, x0: np.ndarray, data: Given,
     if problem.extra:
         warnings.append(f"beyond the seven of the datum, {problem.extra} combination(s) of unknowns stay free in the orthogonal "
                         "network (a stereo pair does not determine the angle between its rays: depths may be deformed); held as "
-                        "the start values have them. Take a third image, control or --model perspective")
+                        "the start values have them. Take a third image, control or " + PERSPECTIVE)
     if problem.frozen:
         return problem, x0, loss if request.loss else BUNDLE, warnings
     options = FIXED_POINT if request.loss is None else replace(FIXED_POINT, step_tolerance=1e-4)
@@ -61,7 +62,7 @@ def orthogonal_start(perspective: Bundle, x0: np.ndarray, data: Given,
                             f"solution{aimed}")
             return other, better, how, warnings
     warnings.append(f"repeating the transformation {why}: the orthogonal model is for narrow fields of view and objects with "
-                    "relief; take --model perspective")
+                    "relief; take " + PERSPECTIVE)
     return problem, x0, options, warnings
 
 
@@ -78,8 +79,8 @@ def false_fixed_point(problem: OrthogonalBundle, x: np.ndarray) -> list[str]:
     plain = Bundle.of(problem.network, problem.inner)
     if problem.frozen or problem.extra or not _far_off(plain.cost(x), problem, plain, x):
         return []
-    return ["false fixed point: the perspective model, from the same values, has far smaller residuals; do not use, take --model "
-            "perspective"]
+    return ["false fixed point: the perspective model, from the same values, has far smaller residuals; do not use, take "
+            + PERSPECTIVE]
 
 
 def softened(problem: Bundle, x0: np.ndarray) -> np.ndarray:

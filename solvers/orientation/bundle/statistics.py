@@ -144,7 +144,7 @@ def datum_defects(problem: Bundle, x: np.ndarray) -> list[str]:
     _, s, vt = np.linalg.svd(np.linalg.qr(np.concatenate([a, np.zeros((7, 7))]), mode="r"))  # 7 x 7 however large the block
     free = s <= 1e-7 * max(s[0], 1e-300)
     if free.all():
-        return ["the datum (place, attitude and scale): there is neither control nor a prior in it"]
+        return ["the datum (place, attitude and scale): there is neither control nor a prior with a sigma in it"]
     return [_motion(row) for row in vt[free]]
 
 
