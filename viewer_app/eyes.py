@@ -127,7 +127,7 @@ class Eyes:
             self.frame(client)
 
     def _begin(self) -> None:
-        """Whoever comes begins where the last one looked, or at home."""
+        """Whoever comes begins where the last one looked, or at home. From any thread."""
         if self._home is None:
             return
         camera, view = self._server.initial_camera, self.view
@@ -206,14 +206,14 @@ class Eyes:
         self.view = here
         if time.monotonic() - self._viewed > 0.5:
             self._viewed = time.monotonic()
-            self._put(self._begin)
+            self._begin()
             self._changed()
 
     def left(self, number: int) -> None:
         for known in (self.canvases, self.homes, self._framed, self._before):
             known.pop(number, None)
         self._taken.discard(number)
-        self._put(self._begin)
+        self._begin()
 
     # -- flights
 

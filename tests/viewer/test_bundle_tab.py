@@ -11,8 +11,9 @@ from typing import Any
 
 import pytest
 
-from tests.viewer.sessions import Session, demo_session, until
+from tests.viewer.sessions import Session, act, demo_session, until
 from viewer_app import bundle_tasks
+from viewer_app.actions import Show
 from viewer_app.app import App
 from viewer_app.bundle_state import Bundle
 from viewer_app.bundle_work import bundle_work
@@ -38,6 +39,7 @@ def finished(app: App) -> bool:
 
 def test_a_bundle_is_run_drawn_and_stepped(session: Session) -> None:
     app, v = session
+    act(app, v, Show("ellipsoids", True))
     v.click_button("Run bundle")
     until(app, v, lambda: finished(app), "the bundle", 200)
     assert room(app).error == "" and room(app).result is not None
