@@ -312,6 +312,8 @@ class App:
         return self._state.with_room(replace(self._state.room(Desktop), view=self._eyes.view))
 
     def _left(self, client: viser.ClientHandle) -> None:
+        if self._closed.is_set():  # nobody comes any more
+            return
         self._eyes.left(client.client_id)
         self._actions.put(lambda: self._widths.left(client.client_id))
 

@@ -10,6 +10,7 @@ import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from http import HTTPStatus
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -236,3 +237,13 @@ def test_a_port_that_is_taken_is_said(monkeypatch: pytest.MonkeyPatch, capsys: p
         with pytest.raises(RuntimeError, match=r"http://127\.0\.0\.1:\d+"):
             run(DEMO, port=port)
     assert f"(port {port} is taken; Ctrl+C ends it)" in capsys.readouterr().out
+
+
+@pytest.mark.filterwarnings("error")  # a person would read it after Ctrl+C
+def test_a_viewer_that_ends_says_nothing_to_who_leaves() -> None:
+    app = App(DEMO)
+    left: list[Any] = []
+    app._eyes.left = left.append  # type: ignore[method-assign]
+    app.close()
+    app._left(SimpleNamespace(client_id=0))  # type: ignore[arg-type]
+    assert left == []
