@@ -1,4 +1,5 @@
-"""What a recording shows when it is opened: the same as the scene. Everything is in it; what the scene hides begins hidden."""
+"""What a recording shows when it is opened: the same as the scene. Everything is in it; what the scene hides begins hidden, or,
+where that is very much, is left out of the view."""
 
 from __future__ import annotations
 
